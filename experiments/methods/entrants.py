@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from inspect import signature
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, get_args
 
 from experiments.methods.em_dd import MostLikelyPeaks
 from experiments.methods.filtered import FilteredStates
+from experiments.methods.l_cut import LCut
 from experiments.methods.tasks import RaceTask, places
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods import CONTROLS, METHODS, DiscoveryMethod, Experience, Method, MethodName
@@ -23,9 +24,14 @@ FILTERED = "random-filtered"
 
 EM_DD = "em-dd"
 
-ENTRANTS = (*get_args(MethodName), EM_DD, HAND_MADE, NONE)
-"""Of `MethodName`; ``em-dd``: one instance speaks for each bag; ``hand-made``: the bottlenecks themselves; ``none``:
-primitives."""
+L_CUT = "l-cut"
+
+RACERS: dict[str, Callable[..., Method]] = {**dict(METHODS.items()), L_CUT: LCut}
+"""Make a method beside diverse density."""
+
+ENTRANTS = (*get_args(MethodName), L_CUT, EM_DD, HAND_MADE, NONE)
+"""Of `MethodName`; ``l-cut``; ``em-dd``: one instance speaks for each bag; ``hand-made``: the bottlenecks themselves;
+``none``: primitives."""
 
 POSSIBLE = (*ENTRANTS, FILTERED)
 """``random-filtered``: states drawn from diverse density's bags; it takes part where it is named."""
@@ -70,8 +76,8 @@ TUNABLE = frozenset(ENTRANTS) - {HAND_MADE, NONE}
 
 def all_settings_of(entrant: str, changed: Mapping[str, Any]) -> dict[str, Any]:
     """All settings of an entrant, its defaults among them: what its results depend on."""
-    if entrant in METHODS:
-        made: Any = METHODS[entrant]
+    if entrant in RACERS:
+        made: Any = RACERS[entrant]
         defaults = {name: p.default for name, p in signature(made).parameters.items() if name != "seed"}
         return {**defaults, **changed}
     if entrant in (FILTERED, EM_DD):
@@ -90,9 +96,9 @@ def discovery_of(
         task: Whose concept space is used.
         seed: Of the controls' draws.
     """
-    if entrant in METHODS:
+    if entrant in RACERS:
         drawn = {"seed": seed} if entrant in CONTROLS else {}
-        return DiscoverySettings(**task.discovery), METHODS[entrant](**changed, **drawn)
+        return DiscoverySettings(**task.discovery), RACERS[entrant](**changed, **drawn)
     if entrant == HAND_MADE:
         return DiscoverySettings(**task.discovery), GivenPlaces(places(task))
     if entrant == EM_DD:

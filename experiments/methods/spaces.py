@@ -7,7 +7,7 @@ from typing import Any
 
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 
-from sb3_options.discovery.methods import METHODS
+from experiments.methods.entrants import RACERS
 from sb3_options.discovery.settings import DiscoverySettings
 
 Space = dict[str, BaseDistribution]
@@ -46,7 +46,7 @@ SPACES: dict[str, Space] = {
 
 def defaults_of(method: str) -> dict[str, Any]:
     """The defaults of what is tuned."""
-    if method not in METHODS:
+    if method not in RACERS:
         return {name: getattr(DiscoverySettings(), name) for name in SPACES[method]}
-    known = inspect.signature(METHODS[method]).parameters
+    known = inspect.signature(RACERS[method]).parameters
     return {name: known[name].default for name in SPACES[method]}

@@ -10,6 +10,7 @@ import numpy as np
 
 from experiments.common.gridworlds import NEAR, world_of
 from experiments.common.seeds import Result
+from experiments.methods.l_cut import LCut
 from experiments.random_walks.maps import random_map
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
@@ -120,7 +121,9 @@ def run(task: str, changed: dict[str, Any], seed: int, n_episodes: int | None = 
     """
     world, rng = world_for(task, seed), np.random.default_rng(seed)
     seen = Positions(world, noise, seed)
-    discovery = Discovery(DiscoverySettings(**changed), kind="environment")
+    own = LCut() if changed.get("method") == "l-cut" else None  # which the library does not have
+    settings = DiscoverySettings(**{name: value for name, value in changed.items() if own is None or name != "method"})
+    discovery = Discovery(settings, own, kind="environment")
     found: list[dict[str, Any]] = []
     instances: FloatArray = np.zeros((0, 2))
     seen.reset(seed=seed)

@@ -17,7 +17,6 @@ MethodName = Literal[
     "first-visits",
     "every-visit",
     "relative-novelty",
-    "l-cut",
     "betweenness",
     "random",
 ]

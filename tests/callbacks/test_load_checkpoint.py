@@ -9,7 +9,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback, load_checkpoint
 from sb3_options.checkpoints.file import read
 from sb3_options.discovery.methods import DiscoveryMethod
-from sb3_options.discovery.methods.graphs import Betweenness, LCut
+from sb3_options.discovery.methods.graphs import Betweenness
+from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from tests.callbacks.test_checkpoint_resuming import Callbacks, discovering, model_of, venv_of
 from tests.support.sb3_helpers import optioned_rooms
 
@@ -71,13 +72,19 @@ class TestLoadCheckpoint:
     @pytest.mark.parametrize(
         ("method", "text"),
         [
-            (Betweenness(), r"with method class='LCut' of SubgoalDiscoveryCallback, and here it is 'Betweenness'"),
-            (None, r"with method class='LCut' of SubgoalDiscoveryCallback, and here it is 'NoneType'"),
-            (LCut(min_share=0.9), r"with method min_share=0\.2 of SubgoalDiscoveryCallback, and here it is 0\.9"),
+            (
+                RelativeNovelty(),
+                r"with method class='Betweenness' of SubgoalDiscoveryCallback, and here it is 'Relative",
+            ),
+            (None, r"with method class='Betweenness' of SubgoalDiscoveryCallback, and here it is 'NoneType'"),
+            (
+                Betweenness(min_share=0.9),
+                r"with method min_share=0\.5 of SubgoalDiscoveryCallback, and here it is 0\.9",
+            ),
         ],
     )
     def test_refuses_another_method(self, method: DiscoveryMethod, text: str, tmp_path: Path) -> None:
-        made = SubgoalDiscoveryCallback(method=LCut())
+        made = SubgoalDiscoveryCallback(method=Betweenness())
         model_of("PPO", venv_of()).learn(64, [made, CheckpointCallback(tmp_path)])
         model, other = (
             model_of("PPO", venv_of()),

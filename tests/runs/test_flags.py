@@ -129,12 +129,14 @@ def test_the_algorithm_comes_first_in_any_case(args: list[str]) -> None:
     assert parse(args) == configure(algo="dqn", seed=1)
 
 
-@pytest.mark.parametrize("words", [["--method", "l-cut"], ["--method=l-cut"], ["--discovery.method", "l-cut"]])
+@pytest.mark.parametrize(
+    "words", [["--method", "betweenness"], ["--method=betweenness"], ["--discovery.method", "betweenness"]]
+)
 def test_the_method_of_discovery(words: list[str], tmp_path: Path) -> None:
     expected = parse(words)
-    assert expected.discovery.method == "l-cut"
+    assert expected.discovery.method == "betweenness"
     path = tmp_path / "config.yml"
-    for text in ("method: l-cut\n", "discovery:\n  method: l-cut\n"):
+    for text in ("method: betweenness\n", "discovery:\n  method: betweenness\n"):
         path.write_text(text)
         assert parse(["--config", str(path)]) == expected
         assert parse(["--config", str(path), "--method", "random"]).discovery.method == "random"

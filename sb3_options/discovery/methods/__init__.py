@@ -7,7 +7,7 @@ from functools import partial
 
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
-from sb3_options.discovery.methods.graphs import Betweenness, LCut
+from sb3_options.discovery.methods.graphs import Betweenness
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.discovery.methods.method import (
     DiscoveryMethod,
@@ -24,7 +24,6 @@ METHODS: dict[MethodName, Callable[..., Method]] = {
     "first-visits": VisitFrequency,
     "every-visit": partial(VisitFrequency, "every"),
     "relative-novelty": RelativeNovelty,
-    "l-cut": LCut,
     "betweenness": Betweenness,
     "random": RandomPlaces,
 }

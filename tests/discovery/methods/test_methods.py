@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import networkx as nx
@@ -12,8 +11,8 @@ import pytest
 from experiments.random_walks.conditions import is_bottleneck, run, world_for
 from sb3_options.discovery.methods import METHODS, MethodName
 from sb3_options.discovery.methods.candidates import Candidates, more_likely, often_enough
-from sb3_options.discovery.methods.graphs import Betweenness, LCut, local_maxima, normalised_cut, weights_of
-from sb3_options.discovery.methods.method import DiscoveryMethod, Experience
+from sb3_options.discovery.methods.graphs import Betweenness, local_maxima
+from sb3_options.discovery.methods.method import Experience
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
 from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
 from sb3_options.discovery.peaks import MOST_TIED
@@ -101,19 +100,6 @@ class TestRelativeNovelty:
 
 
 class TestGraphs:
-    def test_weights_count_transitions_both_ways(self) -> None:
-        weights = weights_of(np.array([0, 1, 0, 0, 2]), 3)
-        assert weights.tolist() == [[0, 2, 1], [2, 0, 0], [1, 0, 0]]
-
-    def test_the_cut_is_the_best_along_the_eigenvector(self) -> None:
-        graph = nx.barbell_graph(5, 0)
-        cut, part = normalised_cut(nx.to_numpy_array(graph))
-        assert len(set(part[:5])) == len(set(part[5:])) == 1
-        assert part[0] != part[9]
-        first = set(np.flatnonzero(part == part[0]).tolist())
-        expected = nx.normalized_cut_size(graph, first)
-        assert cut == pytest.approx(expected)
-
     def test_local_maxima_are_those_of_networkx(self, rng: np.random.Generator) -> None:
         places = dumbbell(rng).places
         (bridge,) = local_maxima(places.visits)
@@ -123,11 +109,8 @@ class TestGraphs:
         assert local_maxima(np.array([0, 1, 2, 3, 0])).tolist() == []  # a ring
         assert local_maxima(np.array([0, 0, 0])).tolist() == []
 
-    @pytest.mark.parametrize("make", [partial(LCut, max_cut=0.2), Betweenness])
-    def test_the_bridge_is_proposed_when_it_was_seen_often_enough(
-        self, make: Callable[..., DiscoveryMethod], rng: np.random.Generator
-    ) -> None:
-        method = make(min_seen=5)
+    def test_the_bridge_is_proposed_when_it_was_seen_often_enough(self, rng: np.random.Generator) -> None:
+        method = Betweenness(min_seen=5)
         proposed = [method.update(dumbbell(rng)) for _ in range(8)]
         assert proposed[:4] == [[]] * 4
         near = {float(region.points[0, 0]) for region in proposed[-1]}
@@ -216,8 +199,7 @@ def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: LCut(horizon=1), "horizon\n.*greater than or equal to 2"),
-        (lambda: LCut(max_cut=5), "max_cut\n.*less than or equal to 2"),
+        (lambda: Betweenness(horizon=1), "horizon\n.*greater than or equal to 2"),
         (lambda: Betweenness(min_share=1.0), "min_share\n.*less than 1"),
         (lambda: RelativeNovelty(p_target=0.1, p_other=0.2), "p_target must be above p_other"),
         (lambda: RelativeNovelty(odds=math.inf), "odds\n.*finite"),
