@@ -23,16 +23,11 @@ SILENT_TRAJECTORIES = 20
 class Diary:
     """Counts of trajectories and of nominal seconds, and the reasons why discovery found nothing.
 
-    Args:
+    Attributes:
         unit: What a trajectory is: an ``episode``, or a ``segment`` of a continuing task.
         max_share: Largest share of training time for discovery; None for any.
-
-    Attributes:
-        needs_success: Whether nothing can be discovered before a success.
-        n: Trajectories seen.
-        successes: Successful ones.
-        steps: Primitive steps of all trajectories.
         step_seconds: Nominal seconds of training for a primitive step.
+        n: Trajectories seen.
         spent: Nominal seconds of discovery.
         skipped: Searches that were not made, because the budget was spent.
         seconds: Measured seconds of discovery. No decision depends on them.

@@ -45,10 +45,7 @@ GROUND: dict[str, Any] = {"facecolor": "0.93", "edgecolor": "white"}
 def subgoals_figure(discovery: Discovery, bank: OptionBank, text: str | None = None) -> Figure:
     """`map_figure`, or a text where there is no map: for a run folder.
 
-    Args:
-        discovery: What was found.
-        bank: The options made.
-        text: Said above the panels; by default why nothing was found, where that is so.
+    ``text`` is said above the panels; by default why nothing was found, where that is so.
     """
     if text is None and not discovery.found:
         text = discovery.why_nothing()

@@ -23,8 +23,6 @@ def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> 
         start_radius: In scaled units of concept space, ≥ 0.
         goal_radius: The same, for the last state.
     """
-    if not (start_radius >= 0 and goal_radius >= 0):
-        raise ValueError(f"start_radius and goal_radius must be at least 0, got {start_radius} and {goal_radius}.")
 
     def keep(features: FloatArray, start: FloatArray, end: FloatArray) -> BoolArray:
         from_start = np.linalg.norm(features - start, axis=1)

@@ -110,14 +110,8 @@ def tell_success(
     The environment may report another success than the rule, or report it in those episodes alone that succeed. Where
     it never reports any, and the rule is to go by that, there is none to log.
 
-    Args:
-        info: Gets ``is_success``.
-        said: What the rule says.
-        trajectory: The episode's.
-        rule: Which.
-        logged: Successes that Stable-Baselines3 takes the mean of. Gets those before the first that was reported.
-        before: What the rule said of earlier episodes.
-        reported: Whether the environment has reported success elsewhere.
+    ``logged`` are the successes that Stable-Baselines3 takes the mean of, and gets those ``before`` the first that was
+    reported. ``reported`` says whether the environment has reported success elsewhere.
     """
     if logged is None or (rule is reported_success and trajectory.is_success is None and not (logged or reported)):
         return

@@ -38,9 +38,6 @@ class PersistentPeaks(Method):
         contrast: Of the group of features: by what a state of a successful trajectory must stand out.
 
     Attributes:
-        settings: How bags are made, searched, and peaks averaged.
-        filters: Which states may be subgoals.
-        tracker: Running averages of the peaks.
         peaks: Of the last search, best first; empty after a subgoal was accepted.
         evidence: What the last search searched; None if there was nothing.
         completed: What the search searched that completed the last subgoal.
