@@ -67,7 +67,6 @@ class PersistentPeaks(Method):
         self._n_new = 0  # states whose bags were not made yet
         self._n_since = 0  # trajectories since the last search
         self._n_accepted = 0
-        self._cost = 0.0
 
     def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup] = ()) -> None:
         """Set up what grows with experience; as `Method.begin`."""
@@ -165,10 +164,6 @@ class PersistentPeaks(Method):
         self.tracker.forget()
         self.peaks = []
         return best
-
-    def seconds(self, experience: Experience) -> float:
-        """Nominal seconds of the last update."""
-        return self._cost
 
     def engine(self) -> DiverseDensity:
         """The diverse density that these settings mean."""

@@ -47,7 +47,6 @@ class GroupedPeaks(Method):
         self._searched = 0
         self._n_successful = 0
         self._n_standing = 0
-        self._cost = 0.0
 
     def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup]) -> None:
         """Set up the search of each group; as `Method.begin`."""
@@ -106,10 +105,6 @@ class GroupedPeaks(Method):
         """Start the running averages of its group again; as `Method.accept`."""
         assert goal.group is not None  # all subgoals here have one
         return self.members[goal.group].accept(goal)
-
-    def seconds(self, experience: Experience) -> float:
-        """Nominal seconds of the last update."""
-        return self._cost
 
     def values(self) -> dict[str, float]:
         """Of the group whose concept has the largest average."""

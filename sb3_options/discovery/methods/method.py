@@ -145,6 +145,7 @@ class Method:
     again_after: float = 2.0
     learns_from_failures: bool = True
     min_successes: int = 0
+    _cost: float = 0.0
 
     def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup]) -> None:
         """Get what discovery was made with, before the first trajectory."""
@@ -167,7 +168,7 @@ class Method:
 
     def seconds(self, experience: Experience) -> float:
         """Nominal seconds of the last update."""
-        return 0.0
+        return self._cost
 
     def accept(self, goal: Region) -> float:
         """Note that a proposed subgoal is taken, and say the best log diverse density of its search, NaN without."""
@@ -214,7 +215,6 @@ class OwnMethod(Method):
         self.method = method
         self.needs_success = bool(getattr(method, "needs_success", False))
         self.min_successes = int(getattr(method, "min_successes", 0))
-        self._seconds = 0.0
 
     def update(self, experience: Experience) -> list[Region]:
         """Ask the user's method, and check its proposals."""
@@ -223,7 +223,7 @@ class OwnMethod(Method):
             proposals = self.method.update(experience)
         except ValueError as error:
             raise RuntimeError(f"{self.name}.update failed: {error}") from error
-        self._seconds = time.process_time() - began
+        self._cost = time.process_time() - began
         if not (isinstance(proposals, Sequence) and all(isinstance(each, Region) for each in proposals)):
             raise TypeError(f"{self.name}.update must return a list of Region, got {proposals!r:.200}.")
         return [self._checked(each, experience.features.shape[1]) for each in proposals]
@@ -243,7 +243,7 @@ class OwnMethod(Method):
     def seconds(self, experience: Experience) -> float:
         """Nominal seconds of the last update: the user's estimate, or as measured."""
         if not hasattr(self.method, "seconds"):
-            return self._seconds
+            return self._cost
         seconds = self.method.seconds(experience)
         if not (is_number(seconds) and 0.0 <= seconds < np.inf):
             raise ValueError(f"{self.name}.seconds must return a finite number of at least 0, got {seconds!r:.200}.")
