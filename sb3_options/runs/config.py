@@ -161,12 +161,8 @@ CONFIG = "config.yml"
 OWN = ("algo", "algo_kwargs", "n_envs")
 """What a file says of its own algorithm only."""
 
-SETTINGS_FOLDER = Path(__file__).parent
-TUNED = {
-    f"sb3_options/{name}-v0": "pioneer.yml"
-    for name in ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls", "PioneerMuJoCo")
-}
-"""File of the settings that ship for an environment, by its id."""
+PIONEERS = ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls", "PioneerMuJoCo")
+"""Environments of the robot, which share a file of settings."""
 
 
 def configure(**values: Any) -> TrainConfig:
@@ -177,78 +173,70 @@ def configure(**values: Any) -> TrainConfig:
 def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
     """As `configure` does; an error begins with ``source``, and names may have hyphens, or dots before a group's."""
     try:
-        env_id = str(values.get("env", TrainConfig.env))
-        algo = str(values.get("algo", default_algo(env_id)))
+        of_env = _tuned(str(values.get("env", TrainConfig.env)))
+        algo = str(values.get("algo", of_env.get("algo", TrainConfig.algo)))
         check_algo(algo)
-        content = defaults(env_id, algo) | {"algo": algo}
-        own: dict[str, Any] = {}
-        for spelling, value in values.items():
-            name = str(spelling).replace("-", "_")
-            name = "discovery.method" if name == "method" else name
-            group, _, inner = name.partition(".")
-            if group in GROUPS:
-                content[group] = _grouped(group, content.get(group, {}), {inner: value} if inner else value)
-            elif name == "algo_kwargs":
-                value = keywords_of(value)
-                own |= value if isinstance(value, Mapping) else {name: value}
-            else:
-                (content if name in FIELDS else own)[name] = value
+        of_algo = next(block for names, block in shipped("defaults.yml").items() if algo in names.split())
+        of_env = {name: value for name, value in of_env.items() if name in (*FIELDS, *of_algo)}
+        content, arguments = _sorted(of_algo | of_env)
+        given, own = _sorted(values)
         if own:
             from sb3_options.runs.algorithms import checked_arguments  # which imports SB3
 
-            content["algo_kwargs"] = merged(content["algo_kwargs"], checked_arguments(algo, own))
-        return TrainConfig(**content)
+            own = checked_arguments(algo, own)
+        for group in GROUPS.keys() & content.keys() & given.keys():
+            if isinstance(given[group], Mapping):
+                given[group] = content[group] | given[group]
+        return TrainConfig(**content | given | {"algo": algo, "algo_kwargs": _with_layers(arguments, own)})
     except ValueError as error:
         raise ValueError(f"{source}: {error}") from None
 
 
-def _grouped(group: str, before: Any, later: Any) -> Any:
-    """The settings of a group, later ones in the place of earlier ones."""
-    if not isinstance(later, Mapping):
-        return later
-    part = {str(key).replace("-", "_"): value for key, value in later.items()}
-    names = {f.name for f in dataclasses.fields(GROUPS[group])}
-    for name in part:
-        if name not in names:
-            raise ValueError(unknown(f"{group}.{name}"))
-    return merged(before, part)
+def _sorted(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Settings by the names of `TrainConfig`, and apart from them arguments of the algorithm's class."""
+    fields: dict[str, Any] = {}
+    own: dict[str, Any] = {}
+    for spelling, value in values.items():
+        name = str(spelling).replace("-", "_")
+        name = "discovery.method" if name == "method" else name
+        group, _, inner = name.partition(".")
+        if name == "algo_kwargs":
+            value = keywords_of(value)
+            own |= value if isinstance(value, Mapping) else {name: value}
+        elif group in GROUPS and (inner or isinstance(value, Mapping)):
+            part = {inner: value} if inner else {str(key).replace("-", "_"): each for key, each in value.items()}
+            for key in part.keys() - GROUPS[group].__annotations__.keys():
+                raise ValueError(unknown(f"{group}.{key}"))
+            before = fields.get(group, {})
+            fields[group] = {**before, **part} if isinstance(before, Mapping) else before
+        else:
+            (fields if name in FIELDS else own)[name] = value
+    return fields, own
 
 
-def merged(before: Any, later: Any) -> Any:
-    """Two mappings in one, in which later values win; policy_kwargs are merged, too. Anything else is let be."""
-    if not (isinstance(before, Mapping) and isinstance(later, Mapping)):
-        return before if isinstance(later, Mapping) else later
+def _with_layers(before: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of the algorithm, later ones in the place of earlier ones; ``net_arch`` is one of policy_kwargs."""
     both = {**before, **later}
-    policy = [each["policy_kwargs"] for each in (before, later) if isinstance(each.get("policy_kwargs"), Mapping)]
-    if "net_arch" in both:
-        policy.append({"net_arch": list(both.pop("net_arch"))})
-    return both | ({"policy_kwargs": {k: v for each in policy for k, v in each.items()}} if policy else {})
+    policy: dict[str, Any] = {}
+    for each in (before, later):
+        policy |= each.get("policy_kwargs") or {}
+        policy |= {"net_arch": list(each["net_arch"])} if "net_arch" in each else {}
+    both.pop("net_arch", None)
+    return both | ({"policy_kwargs": policy} if policy else {})
 
 
-def defaults(env_id: str, algo: str) -> dict[str, Any]:
-    """The settings that ship for an environment and an algorithm."""
-    of_algo = next(block for names, block in shipped("defaults.yml").items() if algo in names.split())
-    file = TUNED.get(env_id, "minigrid.yml" if is_minigrid(env_id) else None)
-    of_env = {} if file is None else shipped(f"tuned/{file}")
-    both = of_algo | {name: value for name, value in of_env.items() if name in (*FIELDS, *of_algo)}
-    own = {name: value for name, value in both.items() if name not in FIELDS}
-    return {name: value for name, value in both.items() if name in FIELDS} | {"algo_kwargs": merged({}, own)}
+def _tuned(env_id: str) -> dict[str, Any]:
+    """The settings that ship for an environment."""
+    if env_id.removeprefix("minigrid:").startswith(("MiniGrid-", "BabyAI-")):  # MiniGrid's own test is slow to import
+        return shipped("tuned/minigrid.yml")
+    of_robot = env_id.removeprefix("sb3_options/").removesuffix("-v0") in PIONEERS
+    return shipped("tuned/pioneer.yml") if of_robot else {}
 
 
 @cache
 def shipped(file: str) -> dict[str, Any]:
     """A file of settings that comes with the library."""
-    return yaml_file.read_mapping(SETTINGS_FOLDER / file)
-
-
-def is_minigrid(env_id: str) -> bool:
-    """Whether an environment is one of MiniGrid's; its module would be slow to import."""
-    return env_id.removeprefix("minigrid:").startswith(("MiniGrid-", "BabyAI-"))
-
-
-def default_algo(env_id: str) -> str:
-    """The algorithm of a command line that names none."""
-    return str(shipped(f"tuned/{TUNED[env_id]}")["algo"]) if env_id in TUNED else "maskableppo"
+    return yaml_file.read_mapping(Path(__file__).parent / file)
 
 
 def check_algo(algo: str) -> None:
