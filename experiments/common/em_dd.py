@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Point
+from sb3_options.density.concepts import Concept, Point
 from sb3_options.density.diverse_density import TOLERANCE, DiverseDensity, Peak
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.lbfgs import BatchedLBFGS
@@ -83,7 +83,7 @@ class ExpectationMaximisation:
 class MostLikely:
     """log Π_i p(most likely of B_i⁺) Π_i (1 − η p(most likely of B_i⁻))."""
 
-    def __init__(self, bags: Bags, evidence: Evidence, concept: Point, strength: float) -> None:
+    def __init__(self, bags: Bags, evidence: Evidence, concept: Concept, strength: float) -> None:
         x = torch.from_numpy(evidence.scaled(bags.instances.numpy()))
         self._powers = torch.cat([torch.ones_like(x[:, :1]), x, x * x], dim=1)
         self._bags = torch.split(torch.arange(len(x), device=x.device), list(bags.lengths))

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from sb3_options.density.energies import (
+    LOG2_E,
     Columns,
     Evaluation,
     Likelihood,
@@ -32,7 +33,11 @@ def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspac
     share, blocks = arrays.p, arrays.p_blocks
     scaled = exponents(columns, segment, likelihood)
     torch.mm(segment.powers[:, : len(scaled)], scaled, out=share)
-    close = measure_close_pairs(share, columns, segment, likelihood)
+    close = None
+    if likelihood.logistic:
+        share.copy_(torch.nn.functional.logsigmoid(share.mul_(math.log(2))).mul_(LOG2_E))
+    else:
+        close = measure_close_pairs(share, columns, segment, likelihood)
     odds = torch.expm1(share.clamp_(max=0) * math.log(2)).neg_()  # 1 − p, exact where p is near 1
     row_top = _chain(blocks, torch.maximum)
     top = torch.zeros_like(row_top)  # instances of negative bags are taken as they are
@@ -74,12 +79,16 @@ def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspac
         # log(1 − p) from p where p is small, from 1 − p where it is not: the row's product may underflow.
         p = share[negative]
         log_density += torch.where(p < 0.5, torch.log1p(-p), odds[negative].log()).sum(0)
-    weights = torch.div(share, odds.clamp_(min=precision.tiny if columns.exact else precision.eps**2), out=share)
+    weights = share
+    if not likelihood.logistic:
+        torch.div(share, odds.clamp_(min=precision.tiny if columns.exact else precision.eps**2), out=weights)
     for block in blocks:
         block.mul_(ratio[: len(block)])
-    # An instance that is hit lies at its smallest energy: it pulls nowhere, whatever its weight.
-    weights[close.place[close.hit], close.start[close.hit]] = 0
-    near = take_near(weights, close, columns, segment) if columns.exact else columns.centre[:0]
+    near = columns.centre[:0]
+    if close is not None:
+        # An instance that is hit lies at its smallest energy: it pulls nowhere, whatever its weight.
+        weights[close.place[close.hit], close.start[close.hit]] = 0
+        near = take_near(weights, close, columns, segment) if columns.exact else near
     return Evaluation(log_density, moments(segment, weights, len(columns.coefficients)), near)
 
 

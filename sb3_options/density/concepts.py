@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 import torch
@@ -134,3 +134,72 @@ class Point:
             return theta[:-1], theta[-1:].expand_as(theta[:-1])
         m = len(theta) // 2
         return theta[:m], theta[m:]
+
+
+@storable
+@dataclass(frozen=True)
+class HalfSpace:
+    """Half-spaces, p = 1 / (1 + exp(b − v·x)): "linearly discriminable surfaces" (McGovern & Barto 2001, §8).
+
+    A Gaussian prior of v keeps the boundary from growing sharp without end where bags can be separated. One of b keeps
+    the half-space from growing to hold everything where no bag is negative. θ holds v, then b, for each start.
+
+    Attributes:
+        steepness: Standard deviation of the prior of v_k, per width of a scaled feature.
+        offset: Standard deviation of the prior of b.
+
+    Raises:
+        ValueError: An argument is not positive and finite.
+    """
+
+    steepness: float = 3.0
+    offset: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Refuse arguments out of range."""
+        for name, value in (("steepness", self.steepness), ("offset", self.offset)):
+            if not (is_number(value) and 0 < value < math.inf):
+                raise ValueError(f"{name} must be positive and finite, got {value!r}")
+
+    def coefficients(self, theta: Tensor) -> Tensor:
+        """Factors b and −v of 1 and x_k, and 0 of x_k²: (2 d + 1, S)."""
+        return torch.cat([theta[-1:], -theta[:-1], torch.zeros_like(theta[:-1])])
+
+    def pull_back(self, theta: Tensor, gradient: Tensor) -> Tensor:
+        """The gradient in θ from that in the coefficients."""
+        return torch.cat([-gradient[1 : len(theta)], gradient[:1]])
+
+    def centre(self, theta: Tensor) -> Tensor:
+        """None, (0, S)."""
+        return theta[:0]
+
+    def start(self, instances: Tensor, scale: float) -> Tensor:
+        """θ of half-spaces that face each scaled instance (S, d) from half way to the middle of all."""
+        away = instances - instances.mean(0)
+        v = scale * torch.nn.functional.normalize(away)
+        b = (v * (instances - away / 2)).sum(1, keepdim=True)
+        return torch.cat([v, b], dim=1).T.contiguous()
+
+    def bounds(self, n_features: int) -> tuple[Tensor, Tensor]:
+        """None: the prior does their work; (n_parameters, 1) each."""
+        free = torch.full((n_features + 1, 1), math.inf, dtype=torch.float64)
+        return -free, free
+
+    def log_prior(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """Logarithm of the prior (S,), −½ ‖v / steepness‖² − ½ (b / offset)², and its gradient in θ."""
+        precision = theta.new_full((len(theta), 1), self.steepness**-2)
+        precision[-1] = self.offset**-2
+        gradient = -precision * theta
+        return (gradient * theta).sum(0) / 2, gradient
+
+    def canonical(self, theta: Tensor) -> Tensor:
+        """Itself: each θ means another half-space."""
+        return theta
+
+    def point_and_scale(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of each boundary the point that is nearest to the origin, and the normal v, in scaled features, (d, S)."""
+        v, b = theta[:-1], theta[-1]
+        return v * (b / np.maximum((v * v).sum(axis=0), np.finfo(np.float64).tiny)), v
+
+
+Concept: TypeAlias = Point | HalfSpace

@@ -22,7 +22,7 @@ from torch import Tensor
 from sb3_options.checked import whole
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags, distinct, held_by_all, in_range, positive_scale, real_array
-from sb3_options.density.concepts import Point
+from sb3_options.density.concepts import Concept, HalfSpace, Point
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence, evenly
 from sb3_options.density.lbfgs import BatchedLBFGS
@@ -64,6 +64,8 @@ FINAL_STEPS, TOLERANCE = 500, 1e-8
 APART_BY = 0.5
 """A peak this close to a better one is merged into it, in parameters: for points, in widths."""
 
+TINY = float(np.finfo(np.float64).tiny)
+
 TIES, SAME_PARAMETER = 1e-5, 1e-3
 """Peaks tie whose losses are this close, relatively or in nats; parameters this close do not order them."""
 
@@ -74,23 +76,32 @@ class Peak(NamedTuple):
 
     Attributes:
         point: t, the centre, (d,) in the units of the features.
-        scale: s, one over the width, (d,); 0 for a feature that does not count.
+        scale: s, one over the width, (d,); 0 for a feature that does not count. Of a half-space, for which t is on the
+            boundary, its normal: Pr(x ∈ concept) = 1 / (1 + exp(−s · (x − t))).
         log_density: Log diverse density there, in nats, without the prior.
         converged: Whether the ascent had come to rest.
+        is_half_space: Whether it is one.
     """
 
     point: FloatArray
     scale: FloatArray
     log_density: float
     converged: bool
+    is_half_space: bool = False
 
     def region(self, level: float = 0.5) -> Region:
         """Where Pr(x ∈ concept) ≥ level, in (0, 1): a subgoal that β can test."""
+        if self.is_half_space:
+            shift = self.scale * math.log(level / (1 - level)) / max(float(self.scale @ self.scale), TINY)
+            return Region((self.point + shift)[None], np.ones_like(self.scale), 0.0, normal=self.scale)
         return Region(self.point[None], self.scale, math.sqrt(-math.log(level)))
 
     def probability(self, instances: ArrayLike) -> FloatArray:
         """Pr(x ∈ concept) of instances (n, d), shape (n,)."""
-        return np.asarray(np.exp(-np.square((np.asarray(instances) - self.point) * self.scale).sum(axis=1)))
+        difference = np.asarray(instances) - self.point
+        if self.is_half_space:
+            return np.asarray(torch.from_numpy(difference @ self.scale).sigmoid())
+        return np.asarray(np.exp(-np.square(difference * self.scale).sum(axis=1)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,15 +115,15 @@ class DiverseDensity:
         method: "gradient": the instances of the smallest positive bags are evaluated, and the best of them ascend a few
             steps; for points of known scale, and the default for these. "thorough": all distinct instances of positive
             bags ascend in single precision, the best go on, and the finalists climb to rest in double precision;
-            also for learned scales. "exhaustive": a finite set of candidates is evaluated, by default all instances of
-            positive bags; for points of known scale.
+            also for learned scales and half-spaces. "exhaustive": a finite set of candidates is evaluated, by default
+            all instances of positive bags; for points of known scale.
         max_starts: Most instances that a thorough search starts from, evenly spaced among all; None for all.
         finalists: Most starts that a thorough search climbs to the end.
         negative_strength: η in (0, 1]: log(1 − η p) of every negative instance.
         leak: λ in [0, 1): the probability that a bag is positive for a reason other than the concept.
     """
 
-    concept: Point = POINT
+    concept: Concept = POINT
     scale: ArrayLike = 1.0
     method: Literal["gradient", "thorough", "exhaustive"] | None = None
     max_starts: int | None = 256
@@ -126,7 +137,7 @@ class DiverseDensity:
         if self.method is None:
             object.__setattr__(self, "method", "gradient" if known_scale else "thorough")
         for name, (expected, holds) in {
-            "concept": ("a Point", isinstance(self.concept, Point)),
+            "concept": ("a Point or a HalfSpace", isinstance(self.concept, Point | HalfSpace)),
             "scale": ("positive, finite, a number or (d,)", positive_scale(self.scale)),
             "method": ('"gradient", "thorough" or "exhaustive"', self.method in ("gradient", "thorough", "exhaustive")),
             "max_starts": (
@@ -208,9 +219,8 @@ class DiverseDensity:
         """The bags in scaled features, as the searches see them."""
         # In the middle of the data products of features are smallest, and lose the fewest digits.
         middle = bags.instances.mean(0).numpy()
-        return Evidence(
-            bags, self.concept, middle, self._scale(bags.n_features), Likelihood(self.negative_strength, self.leak)
-        )
+        likelihood = Likelihood(self.negative_strength, self.leak, isinstance(self.concept, HalfSpace))
+        return Evidence(bags, self.concept, middle, self._scale(bags.n_features), likelihood)
 
     def starts(self, evidence: Evidence, points: FloatArray | None = None) -> Tensor:
         """θ (P, S) of every start of a thorough search: at scaled points (m, d), by default the instances."""
@@ -240,7 +250,8 @@ class DiverseDensity:
             best = ties_in_order(best, theta.T.numpy(), losses)
         points, scales = (part.T for part in self.concept.point_and_scale(theta.numpy()))
         points, scales = points / evidence.scale + evidence.origin, scales * evidence.scale
-        return [Peak(points[i].copy(), scales[i].copy(), density[i], rested[i]) for i in best]
+        half = isinstance(self.concept, HalfSpace)
+        return [Peak(points[i].copy(), scales[i].copy(), density[i], rested[i], half) for i in best]
 
     def _thorough(self, points: FloatArray, bags: Bags) -> list[Peak]:
         evidence = self.evidence(bags)

@@ -24,17 +24,22 @@ LOG2_E = math.log2(math.e)
 
 
 class Likelihood(NamedTuple):
-    """What bags say of a concept: η in (0, 1] of negative instances, λ in [0, 1)."""
+    """What bags say of a concept: η in (0, 1] of negative instances, λ in [0, 1), and how energies become p.
+
+    p is exp(−z), or 1 / (1 + exp(z)) where it is ``logistic``; η then multiplies the odds of p.
+    """
 
     strength: float = 1.0
     leak: float = 0.0
+    logistic: bool = False
 
 
 class Columns(NamedTuple):
     """Concepts as the kernels read them: coefficients (2 d + 1, S) of 1, x_k and x_k², and centres (d, S).
 
     The energy is Σ_k c_kk (x_k − centre_k)². Where a column is ``exact``, in double precision, small energies are
-    measured so, without cancellation, and their part of the gradient comes in ``Evaluation.near``.
+    measured so, without cancellation, and their part of the gradient comes in ``Evaluation.near``. A half-space has no
+    centre, (0, S).
     """
 
     coefficients: Tensor

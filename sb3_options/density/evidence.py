@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Point
+from sb3_options.density.concepts import Concept
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Segment, Workspace, segments_of
 from sb3_options.density.objective import evaluate
@@ -24,7 +24,7 @@ class Evidence:
     """Bags in scaled features, (x − origin) · scale, in as many precisions as are asked for."""
 
     def __init__(
-        self, bags: Bags, concept: Point, origin: FloatArray, scale: FloatArray, likelihood: Likelihood
+        self, bags: Bags, concept: Concept, origin: FloatArray, scale: FloatArray, likelihood: Likelihood
     ) -> None:
         self.concept = concept
         self.origin = origin
@@ -63,7 +63,8 @@ class Evidence:
     def value(self, theta: Tensor) -> Tensor:
         """The loss alone, (S,); in double precision small energies are measured exactly."""
         centre = self.concept.centre(theta)
-        columns = Columns(self.concept.coefficients(theta), centre, theta.dtype == torch.float64)
+        exact = theta.dtype == torch.float64 and not self._likelihood.logistic
+        columns = Columns(self.concept.coefficients(theta), centre, exact)
         at = evaluate(columns, self.segments(theta.dtype), self._likelihood, self._workspace, gradient=False)
         return at.log_density.add_(self.concept.log_prior(theta)[0]).neg_()
 

@@ -1,8 +1,9 @@
 """Log diverse density of any concept, value and closed-form gradient, near the speed of the machine.
 
 A concept enters as one number per instance, its energy z = c₀ + Σ_k c_k x_k + Σ_k c_kk x_k² ≥ 0, linear in
-coefficients c that the concept computes from its parameters (`concepts`); p = Pr(x ∈ concept) = exp(−z). The bags are
-noisy-ors (Maron & Lozano-Pérez 1998) with a leak λ (Henrion 1989), and η is the strength of negative instances:
+coefficients c that the concept computes from its parameters (`concepts`); p = Pr(x ∈ concept) = exp(−z), of a
+half-space 1 / (1 + exp(z)) for any z. The bags are noisy-ors (Maron & Lozano-Pérez 1998) with a leak λ (Henrion 1989),
+and η is the strength of negative instances, of a half-space that of their odds:
 
     h_i = λ + (1 − λ) (1 − Π_j (1 − p_ij))
     log DD = Σ_i log h_i + Σ_i Σ_j log(1 − η p_ij)      (positive bags, negative bags)
@@ -91,13 +92,16 @@ def _quick(
     arrays = workspace.take(segment, columns.coefficients.shape[1], columns.coefficients)
     p, close, none = arrays.p, None, columns.centre[:0]
     scaled = exponents(columns, segment, likelihood)
-    if not columns.exact:
+    if not (columns.exact or likelihood.logistic):
         # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1, costs 1e-6 of it.
         scaled[0].mul_(1 + 4 * precision.eps).sub_(4 * precision.eps)
     _energies(scaled, segment, p, 0.95 * math.log2(precision.tiny))
     if columns.exact:
         close = measure_close_pairs(p, columns, segment, likelihood)
-    p.exp2_()
+    if likelihood.logistic:
+        p.mul_(math.log(2)).sigmoid_()
+    else:
+        p.exp2_()
     _rows(arrays)
     value, fine = _bags_of_rows(arrays, segment, likelihood, precision.tiny**0.75)
     if not gradient:
@@ -107,8 +111,9 @@ def _quick(
         p[close.place, close.start] *= p[close.place, close.start] < 1
     steps = zip(arrays.p_blocks, arrays.spare_blocks, arrays.divisor_blocks, strict=True)
     for block, spare, divisor in reversed(list(steps)):  # the last are in the cache still
-        torch.addcmul(divisor, block, divisor, value=-1, out=spare)
-        block.div_(spare)
+        if not likelihood.logistic:
+            torch.addcmul(divisor, block, divisor, value=-1, out=spare)
+        block.div_(divisor if likelihood.logistic else spare)
     near = none if close is None else take_near(p, close, columns, segment)
     slope = moments(segment, p, len(columns.coefficients))
     # A p of exactly 1 leaves 0/0.

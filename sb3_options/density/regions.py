@@ -1,4 +1,4 @@
-"""Regions of concept space: unions of balls."""
+"""Regions of concept space: unions of balls, and half-spaces."""
 
 from __future__ import annotations
 
@@ -31,12 +31,14 @@ class Region:
         scale: Factor for every feature before distances are taken, shape (d,) or (k,).
         radius: In scaled units, ≥ 0.
         group: The features that count, if not all do.
+        normal: Of a half-space, (d,): the region is where normal · (feature − point) ≥ 0, of its one point.
     """
 
     points: FloatArray
     scale: FloatArray
     radius: float
     group: FeatureGroup | None = field(default=None, kw_only=True)
+    normal: FloatArray | None = field(default=None, kw_only=True)
 
     def contains(self, features: FloatArray) -> BoolArray:
         """Whether min over centres of ‖scale · (feature − centre)‖ ≤ radius, for features (batch, d), shape (batch,).
@@ -50,6 +52,9 @@ class Region:
 
     def covers(self, points: FloatArray) -> BoolArray:
         """`contains` for places given by the features that count alone, (batch, d) or (batch, k)."""
+        if self.normal is not None:
+            beyond: BoolArray = (points - self.points[0]) @ self.normal >= 0
+            return beyond
         if len(self.points) == 0:
             return np.zeros(len(points), dtype=bool)
         if len(points) == 1:

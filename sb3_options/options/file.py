@@ -278,6 +278,8 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
         "initiation_scale": option.initiation_set.scale,
         **option.option_policy.arrays(),
     }
+    if option.subgoal.normal is not None:
+        arrays["subgoal_normal"] = option.subgoal.normal
     entry = {
         "name": option.name,
         "max_duration": option.max_duration,
@@ -336,7 +338,10 @@ def _region(arrays: Arrays, name: str, radius: float, group: FeatureGroup | None
         raise ValueError(f"its {name} has points of shape {points.shape} and a scale of shape {scale.shape}")
     if not (np.isfinite(points).all() and np.isfinite(scale).all() and np.isfinite(radius) and radius >= 0):
         raise ValueError(f"its {name} holds numbers that are not finite, or a negative radius")
-    return Region(points, scale, float(radius), group=group)
+    normal = arrays.get(f"{name}_normal")
+    if normal is not None and not (len(points) == 1 and normal.shape == scale.shape and np.isfinite(normal).all()):
+        raise ValueError(f"its {name} has {len(points)} points and a normal of shape {normal.shape}, or no finite one")
+    return Region(points, scale, float(radius), group=group, normal=normal)
 
 
 def digest(about: str, tensors: Arrays) -> str:

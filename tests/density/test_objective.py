@@ -12,21 +12,24 @@ from torch import Tensor
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Point
+from sb3_options.density.concepts import Concept, HalfSpace, Point
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence
 from sb3_options.density.log_density import log_diverse_density
 from tests.density.definition import oracle, random_bags
 
+FLAT = HalfSpace(steepness=1e9, offset=1e9)
+"""With a prior that says nothing."""
+
 
 def evidence_of(
     bags: Bags,
-    concept: Point | None = None,
+    concept: Concept | None = None,
     eta: float = 1.0,
     leak: float = 0.0,
 ) -> Evidence:
-    d = bags.n_features
-    return Evidence(bags, concept or Point(prior_width=None), np.zeros(d), np.ones(d), Likelihood(eta, leak))
+    d, likelihood = bags.n_features, Likelihood(eta, leak, isinstance(concept, HalfSpace))
+    return Evidence(bags, concept or Point(prior_width=None), np.zeros(d), np.ones(d), likelihood)
 
 
 def theta_of(points: FloatArray, scales: FloatArray) -> Tensor:
@@ -115,10 +118,11 @@ def check_gradient(evidence: Evidence, theta: Tensor) -> None:
         Point("fixed"),
         Point(prior_width=None),
         Point(prior_width=0.5),
+        HalfSpace(),
     ],
 )
 @pytest.mark.parametrize("eta", [1.0, 0.3])
-def test_gradient_of_every_concept(concept: Point, eta: float) -> None:
+def test_gradient_of_every_concept(concept: Concept, eta: float) -> None:
     rng = np.random.default_rng(6)
     bags = Bags.pack(random_bags(rng, 4, 3, 1.5), random_bags(rng, 3, 3, 1.5))
     evidence = evidence_of(bags, concept, eta)
@@ -126,15 +130,34 @@ def test_gradient_of_every_concept(concept: Point, eta: float) -> None:
     check_gradient(evidence, theta + torch.from_numpy(0.1 * rng.normal(size=theta.shape)))
 
 
-@pytest.mark.parametrize("concept", [Point(prior_width=None), Point("fixed")])
+@pytest.mark.parametrize("concept", [Point(prior_width=None), Point("fixed"), FLAT])
 @pytest.mark.parametrize("reach", [1.0, 40.0, 1e3])  # bags that are too far to be quick
-def test_gradient_with_a_leak(concept: Point, reach: float) -> None:
+def test_gradient_with_a_leak(concept: Concept, reach: float) -> None:
     rng = np.random.default_rng(12)
     bags = Bags.pack(random_bags(rng, 4, 3, 1.5), random_bags(rng, 3, 3, 1.5))
     evidence = evidence_of(bags, concept, eta=0.3, leak=0.2)
     theta = concept.start(torch.from_numpy(rng.normal(scale=reach, size=(5, 3))), 0.7)
     check_gradient(evidence, theta)
-    assert (-evidence.loss(theta)[0] >= math.log(0.2) * len(bags.lengths) - 10).all()
+    if concept is not FLAT:  # whose weak negatives have weak odds, and no least probability
+        assert (-evidence.loss(theta)[0] >= math.log(0.2) * len(bags.lengths) - 10).all()
+
+
+@pytest.mark.parametrize(("reach", "eta"), [(1.0, 1.0), (300.0, 1.0), (1.0, 0.2)])
+def test_a_half_space_at_any_distance(reach: float, eta: float) -> None:
+    rng = np.random.default_rng(7)
+    positive, negative = random_bags(rng, 3, 2, 1.0), random_bags(rng, 2, 2, 1.0)
+    theta = torch.from_numpy(np.array([[1.0], [2.0], [reach]]))
+    evidence = evidence_of(Bags.pack(positive, negative), FLAT, eta)
+
+    def log_p(x: FloatArray, eta: float = 1.0) -> FloatArray:
+        return np.asarray(-np.logaddexp(0, reach - x @ [1.0, 2.0] - math.log(eta)))
+
+    expected = sum(
+        math.log(-math.expm1(np.log1p(-np.exp(log_p(b))).sum())) if reach < 100 else np.logaddexp.reduce(log_p(b))
+        for b in positive
+    ) + sum(float(np.log1p(-np.exp(log_p(b, eta))).sum()) for b in negative)
+    assert -evidence.loss(theta)[0].item() == pytest.approx(expected, rel=1e-6)
+    check_gradient(evidence, theta)
 
 
 def test_one_leak_in_every_precision_and_way() -> None:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
-from sb3_options.density.concepts import Point
+from sb3_options.density.concepts import HalfSpace, Point
 from sb3_options.density.diverse_density import DiverseDensity
 from sb3_options.density.lbfgs import BatchedLBFGS
 from sb3_options.density.regions import Region
@@ -150,11 +151,33 @@ def test_regions_are_level_sets() -> None:
         np.testing.assert_array_equal(best.region(level).contains(points), best.probability(points) >= level)
 
 
+def test_a_half_space() -> None:
+    rng = np.random.default_rng(2)
+    normal, scale = np.array([3.0, 4.0]) / 5, np.array([1.0, 0.1])
+
+    def side(n: int, low: float, high: float) -> FloatArray:
+        along, across = rng.uniform(low, high, n), rng.uniform(-5, 5, n)
+        x, y = along * normal[0] - across * normal[1], along * normal[1] + across * normal[0]
+        return np.asarray(np.column_stack([x, y]) / scale)
+
+    positive = [np.vstack([side(4, -4, 1), side(1, 2.5, 5)]) for _ in range(20)]
+    negative = [side(5, -4, 1) for _ in range(20)]
+    best = DiverseDensity(concept=HalfSpace(), scale=scale).search(Bags.pack(positive, negative))[0]
+    assert best.converged
+    direction = best.scale / scale
+    assert direction @ normal / np.linalg.norm(direction) > 0.98
+    assert best.region().contains(side(500, 2.6, 5)).mean() > 0.98
+    assert best.region().contains(side(500, -4, 0.9)).mean() < 0.02
+    for level in (0.5, 0.9):
+        assert best.probability(best.region(level).points)[0] == pytest.approx(level)
+
+
 @pytest.mark.parametrize(
     "search",
     [
         DiverseDensity(concept=Point("one")),
         DiverseDensity(concept=Point("each")),
+        DiverseDensity(concept=HalfSpace()),
     ],
 )
 def test_beta_tests_every_concept_before_and_after_a_file(search: DiverseDensity, tmp_path: Path) -> None:
