@@ -32,8 +32,7 @@ KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
 """What SB3's callbacks remember besides their counters; a class derived from one may remember more."""
 
 COUNTERS = ("n_calls", "num_timesteps")
-SETTINGS = ("settings", "option_settings", "embedding")
-"""What `SubgoalDiscoveryCallback` was made with, by attribute."""
+SETTINGS = ("settings", "option_settings", "embedding")  # what `SubgoalDiscoveryCallback` was made with, by attribute
 
 
 def get_states(root: BaseCallback | None) -> list[State]:

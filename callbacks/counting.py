@@ -23,8 +23,7 @@ from sb3_options.learning.rollout_buffer import SMDPAdvantages, n_decisions
 Schedule: TypeAlias = Callable[[float], float]
 """A function of the remaining progress, 1 … 0."""
 
-SCHEDULES = ("lr_schedule", "clip_range", "clip_range_vf")
-"""Attributes of SB3 models that hold schedules."""
+SCHEDULES = ("lr_schedule", "clip_range", "clip_range_vf")  # attributes of SB3 models that hold schedules
 
 
 def count_inner_steps(callback: BaseCallback, runs: Sequence[OptionRun]) -> None:

@@ -35,8 +35,7 @@ from sb3_options.state import restore
 
 logger = logging.getLogger("sb3_options")
 
-SEGMENTS_PER_LOG = 4
-"""Segments between two dumps of the log; SB3's default is as many episodes."""
+SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is as many episodes
 
 
 class SubgoalDiscoveryCallback(PrimitiveStepsCallback):

@@ -25,8 +25,7 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.state import state_of
 
-MIN_ODDS = 1e-3
-"""Odds that any option opens with: a head of probability 0 would never be learned."""
+MIN_ODDS = 1e-3  # odds that any option opens with: a head of probability 0 would never be learned
 
 
 class OptionInstaller:

@@ -19,8 +19,7 @@ from sb3_options.options.bank import OptionBank
 
 logger = logging.getLogger("sb3_options")
 
-NUMBERS_ONLY = ("stdout", "log", "json", "csv")
-"""SB3's outputs that take neither pictures nor settings."""
+NUMBERS_ONLY = ("stdout", "log", "json", "csv")  # SB3's outputs that take neither pictures nor settings
 
 LAST = 100
 """Episodes that a success rate is of."""

@@ -30,17 +30,10 @@ Ending: TypeAlias = Literal["subgoal", "left_initiation", "max_duration", "faile
 
 Verdict: TypeAlias = Literal["does not arrive", "goes in circles", "ends in failure", "is not needed"]
 
-MIN_RUNS = 50
-"""Fewer runs than this close no option."""
-
-WINDOW = 100
-"""Last runs of a slot, and last episodes, that count."""
-
-RUNS_BETWEEN = 25
-"""Runs of a slot between two judgements."""
-
-MIN_PASSES = 8
-"""Runs that passed a state of I before it can be taken out."""
+MIN_RUNS = 50  # fewer runs than this close no option
+WINDOW = 100  # last runs of a slot, and last episodes, that count
+RUNS_BETWEEN = 25  # runs of a slot between two judgements
+MIN_PASSES = 8  # runs that passed a state of I before it can be taken out
 
 NEVER = 0.2
 """An option does not arrive if fewer of its runs do than this share of `min_reached`. To close those that arrive more
@@ -49,8 +42,7 @@ often and leave I did harm (docs/studies/minigrid.md, six large rooms)."""
 ALPHA = 0.01
 """Level of each test: the probability that one judgement takes away what only just does as it should."""
 
-MIN_SUCCESSES = 20
-"""Successes that an option was there for before it can be found not needed."""
+MIN_SUCCESSES = 20  # successes that an option was there for before it can be found not needed
 
 NEEDED = 0.1
 """Share of successes that pass the subgoal of an option that is needed."""

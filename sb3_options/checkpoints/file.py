@@ -35,8 +35,7 @@ MOST_REPETITIONS = 16
 MOST_REPEATED_BYTES = 1 << 30
 """A checkpoint may name a block more than once (rows of zeros), up to this many bytes more than the repetitions."""
 
-BLOCKS = "blocks"
-"""Folder of the blocks, beside the checkpoints."""
+BLOCKS = "blocks"  # folder of the blocks, beside the checkpoints
 
 SUFFIX = ".safetensors"
 

@@ -22,12 +22,10 @@ State: TypeAlias = dict[str, Any]
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
-MARK = "$"
-"""Key of a JSON object that stands for something else than a dictionary."""
+MARK = "$"  # key of a JSON object that stands for something else than a dictionary
 
 PLAIN = (bool, int, str, float, type(None))
-KINDS = "biuf"
-"""Kinds of arrays that safetensors holds: truth values, whole numbers and floats."""
+KINDS = "biuf"  # kinds of arrays that safetensors holds: truth values, whole numbers and floats
 
 
 MAPS: dict[str, type[dict[Any, Any]]] = {"map": dict, "ordered": OrderedDict, "counter": Counter}

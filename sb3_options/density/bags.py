@@ -17,8 +17,7 @@ from sb3_options.density.arrays import BoolArray, FloatArray, IntArray, row_keys
 from sb3_options.density.layout import BagArrays, Segment, segments_of
 from sb3_options.state import storable
 
-LARGEST_FEATURE, LARGEST_SCALE = 1e100, 1e50
-"""Their product squared is still a number."""
+LARGEST_FEATURE, LARGEST_SCALE = 1e100, 1e50  # their product squared is still a number
 
 
 @storable

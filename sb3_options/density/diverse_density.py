@@ -36,8 +36,7 @@ POINT = Point("fixed")
 APART = 0.9
 """Where instances that were visited one after the other lie so many widths apart, no other point ties with them."""
 
-TIED = 1e-9
-"""Points whose log densities differ by less than this, in nats, tie."""
+TIED = 1e-9  # points whose log densities differ by less than this, in nats, tie
 
 SMALLEST_BAGS = 3
 """A gradient search tries the instances of so many positive bags: more than one, because a filter may have removed the

@@ -17,8 +17,7 @@ CLOSE = 1 / 3
 The rounding of an energy above is then less than 1e-10 of it in double precision.
 """
 
-CLOSE_PAIRS = 1 << 18
-"""Numbers held at once while energies are measured again."""
+CLOSE_PAIRS = 1 << 18  # numbers held at once while energies are measured again
 
 LOG2_E = math.log2(math.e)
 

@@ -16,8 +16,7 @@ from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Segment, Workspace, segments_of
 from sb3_options.density.objective import evaluate
 
-FARTHEST = 1e15
-"""Widths from the origin whose squares, times those of learned scales, single precision can hold."""
+FARTHEST = 1e15  # widths from the origin whose squares, times those of learned scales, single precision can hold
 
 
 class Evidence:

@@ -20,11 +20,8 @@ from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
 SEGMENT_INSTANCES = 1 << 17
 """Instances a segment holds, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
 
-SHORTEST_WIDTH = 16
-"""Rows are at least this wide: every place costs three calls, every row a share of the work on rows."""
-
-FEW_STARTS = 9
-"""Below this many starts arrays are stored start by start: products with so few columns are slow."""
+SHORTEST_WIDTH = 16  # rows are at least this wide: every place costs three calls, every row a share of the work on rows
+FEW_STARTS = 9  # below this many starts arrays are stored start by start: products with so few columns are slow
 
 
 class Segment(NamedTuple):

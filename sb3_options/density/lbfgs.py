@@ -15,17 +15,10 @@ from torch import Tensor
 PAIRS = 6
 """Curvature pairs kept."""
 
-SUFFICIENT = 1e-4
-"""Armijo's constant: the part of the decrease that the slope promises."""
-
-SHORTEN = 0.3
-"""Factor of a step that did not decrease enough."""
-
-CURVED = 1e-8
-"""A pair with s·y below this times y·y says nothing about curvature."""
-
-SHORTEST = 1e-10
-"""A start whose step has been shortened below this is at rest as far as this precision can tell."""
+SUFFICIENT = 1e-4  # Armijo's constant: the part of the decrease that the slope promises
+SHORTEN = 0.3  # factor of a step that did not decrease enough
+CURVED = 1e-8  # a pair with s·y below this times y·y says nothing about curvature
+SHORTEST = 1e-10  # a start whose step has been shortened below this is at rest as far as this precision can tell
 
 FINEST = 8
 """Rounding errors of an objective, in units of the precision."""

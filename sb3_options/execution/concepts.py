@@ -14,11 +14,8 @@ from stable_baselines3.common.torch_layers import CombinedExtractor
 
 from sb3_options.experience.observations import FloatArray, Observations
 
-CONCEPTS = "concepts"
-"""Key of φ in the observations."""
-
-OBSERVATION = "observation"
-"""Key of an observation that was no ``Dict``."""
+CONCEPTS = "concepts"  # key of φ in the observations
+OBSERVATION = "observation"  # key of an observation that was no ``Dict``
 
 Concepts = Callable[[gym.Env[Any, Any], dict[str, Any]], npt.ArrayLike]
 """Environment and the ``info`` of its last ``reset`` or ``step`` → features (d,)."""

@@ -31,14 +31,12 @@ EnvFns: TypeAlias = Sequence[Callable[[], gym.Env[Any, Any]]]
 Message: TypeAlias = tuple[int, str, Any]
 """Number of an environment in its actor, and what ``SubprocVecEnv`` sends to a worker: command and data."""
 
-MOST_LOSSES = 8
-"""Losses of the same environments, with no step between them, after which the fault is theirs."""
+MOST_LOSSES = 8  # losses of the same environments, with no step between them, after which the fault is theirs
 
 FIRST_WAIT = 0.25
 """Seconds before a second start: the cluster may not have noticed yet which machine is gone. Doubles each time."""
 
-LEAST_WAIT = 1.0
-"""Seconds in which an answer that is there can be fetched, though another one has used up the time."""
+LEAST_WAIT = 1.0  # seconds in which an answer that is there can be fetched, though another one has used up the time
 
 
 OBJECT_STORE = 200 * 2**20

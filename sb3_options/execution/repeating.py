@@ -20,8 +20,7 @@ MAX_ACTIONS = 100_000
 """An episode with more actions is not repeated. In MiniGrid so many take some ten seconds, and 4 MB until then."""
 
 UNKNOWN = "it was under way before training started"
-OTHERWISE = "it took another course the second time"
-"""Why an episode does not go on."""
+OTHERWISE = "it took another course the second time"  # why an episode does not go on
 
 
 class RecordActions(gym.Wrapper[Any, Any, Any, Any]):

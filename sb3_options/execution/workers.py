@@ -11,11 +11,8 @@ from typing import Any, NoReturn
 import gymnasium as gym
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 
-LIBRARIES = ["gymnasium", "stable_baselines3", "torch"]
-"""What takes a process seconds to import."""
-
-PATIENCE = 1.0
-"""Seconds that a process has to end by itself before it is killed."""
+LIBRARIES = ["gymnasium", "stable_baselines3", "torch"]  # what takes a process seconds to import
+PATIENCE = 1.0  # seconds that a process has to end by itself before it is killed
 
 
 class WorkerLostError(RuntimeError):

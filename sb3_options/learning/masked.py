@@ -18,8 +18,7 @@ from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 logger = logging.getLogger("sb3_options")
 
-AVAILABILITY_CHUNK = 4096
-"""Stored observations are sent to the environment in batches of this many."""
+AVAILABILITY_CHUNK = 4096  # stored observations are sent to the environment in batches of this many
 
 
 def n_actions_of(model: BaseAlgorithm) -> int:

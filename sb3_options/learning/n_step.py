@@ -13,8 +13,7 @@ Indices = npt.NDArray[np.int64]
 Column: TypeAlias = Callable[[Indices], npt.NDArray[np.float32]]
 """Some rows of a replay buffer, (batch,) → a number of each."""
 
-END = -1
-"""Nothing is stored that follows: the episode ended, or the newest decision."""
+END = -1  # nothing is stored that follows: the episode ended, or the newest decision
 
 
 class NStepReturns(NamedTuple):

@@ -23,29 +23,17 @@ declare(RunningMeanStd, "mean", "var", "count")
 NoveltyKind: TypeAlias = Literal["counts", "rnd"]
 """How novelty is measured: by `StateCounts` or by `RandomNetworkDistillation`."""
 
-CLIP = 5.0
-"""Normalised observations are clipped to ± this (Burda et al. 2018, §2.4)."""
-
-SMALLEST = 1e-8
-"""Added to variances before their root is divided by."""
+CLIP = 5.0  # normalised observations are clipped to ± this (Burda et al. 2018, §2.4)
+SMALLEST = 1e-8  # added to variances before their root is divided by
 
 BINS = 20.0
 """A bounded number of a flat observation has so many bins from its lowest to its highest value."""
 
-LARGEST_SPAN = 1e6
-"""A wider range than this (the largest float, say) is no bound."""
-
-N_FEATURES = 64
-"""Numbers that the random network makes of an observation."""
-
-HIDDEN = 128
-"""Units of a hidden layer; the predictor has one such layer more."""
-
-LEARNING_RATE = 1e-3
-"""Of Adam."""
-
-BATCH = 64
-"""The predictor takes a gradient step each time this many observations were visited."""
+LARGEST_SPAN = 1e6  # a wider range than this (the largest float, say) is no bound
+N_FEATURES = 64  # numbers that the random network makes of an observation
+HIDDEN = 128  # units of a hidden layer; the predictor has one such layer more
+LEARNING_RATE = 1e-3  # of Adam
+BATCH = 64  # the predictor takes a gradient step each time this many observations were visited
 
 
 class StateCounts:

@@ -10,11 +10,8 @@ import zlib
 from pathlib import Path
 from typing import TypeAlias
 
-NAME = "options.safetensors"
-"""Of the file in the folder of a run."""
-
-CARRIED = "carried_options"
-"""Attribute of a model, and entry of a ``model.zip``'s ``data``, with the content as text."""
+NAME = "options.safetensors"  # of the file in the folder of a run
+CARRIED = "carried_options"  # attribute of a model, and entry of a ``model.zip``'s ``data``, with the content as text
 
 MAX_BYTES = 1 << 30
 """Largest content that is unpacked from a ``model.zip``, so that a small file cannot fill the memory."""

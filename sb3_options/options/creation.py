@@ -103,8 +103,7 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
     return other
 
 
-FIRST_GROWTH = 5
-"""An option from elsewhere counts as made from this many trajectories."""
+FIRST_GROWTH = 5  # an option from elsewhere counts as made from this many trajectories
 
 
 class OptionGrowth:

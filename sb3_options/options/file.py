@@ -23,14 +23,9 @@ from sb3_options.options.archive import Source, content_in, name_of
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import PolicyInput
 
-MAX_SLOTS = 1_000_000
-"""Each slot is an action, for which a network has an output."""
-
-FILE_FORMAT = "sb3-options 1"
-"""An optional entry such as ``made_for`` needs no new number."""
-
-MAP = "feature_map"
-"""Before the names of arrays of a learned feature map. Slots have numbers."""
+MAX_SLOTS = 1_000_000  # each slot is an action, for which a network has an output
+FILE_FORMAT = "sb3-options 1"  # an optional entry such as ``made_for`` needs no new number
+MAP = "feature_map"  # before the names of arrays of a learned feature map. Slots have numbers
 
 FEWER_FEATURES = (
     "Discover options on groups that both tasks have, ConceptSettings(groups=...). In MiniGrid what a mission "

@@ -14,14 +14,9 @@ from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import STEP_REWARD, Transitions
 
-LEAST_STEPS = 20
-"""Saved steps of an action in a context; fewer show no rule."""
-
-LEAST_SHARE = 0.9
-"""Of these, what the commonest displacement must have."""
-
-MOST_POINTS = 2000
-"""More are not imagined."""
+LEAST_STEPS = 20  # saved steps of an action in a context; fewer show no rule
+LEAST_SHARE = 0.9  # of these, what the commonest displacement must have
+MOST_POINTS = 2000  # more are not imagined
 
 
 class Displacement(NamedTuple):

@@ -23,11 +23,8 @@ from sb3_options.experience.observations import (
 from sb3_options.options.policies import OptionPolicy, PolicyInput
 from sb3_options.state import storable
 
-CACHE_BYTES = 4 << 20
-"""Memory of each cache of a `SubgoalOption`, observations included; approximate."""
-
-CACHE_ENTRY_BYTES = 400
-"""Memory that one cached result takes besides its observation; measured, rounded up."""
+CACHE_BYTES = 4 << 20  # memory of each cache of a `SubgoalOption`, observations included; approximate
+CACHE_ENTRY_BYTES = 400  # memory that one cached result takes besides its observation; measured, rounded up
 
 Result = TypeVar("Result")
 

@@ -11,17 +11,10 @@ from sb3_options.experience.observations import BoolArray, flatten
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.tasks import Transitions
 
-HIDDEN = 64
-"""Units of each of the network's two hidden layers."""
-
-BATCH = 128
-"""Transitions of a gradient step."""
-
-LEARNING_RATE = 1e-3
-"""Of Adam."""
-
-TARGET_SYNC = 100
-"""Gradient steps between two updates of the state values that targets are made of."""
+HIDDEN = 64  # units of each of the network's two hidden layers
+BATCH = 128  # transitions of a gradient step
+LEARNING_RATE = 1e-3  # of Adam
+TARGET_SYNC = 100  # gradient steps between two updates of the state values that targets are made of
 
 
 def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: float, sweeps: int) -> TabularPolicy:
