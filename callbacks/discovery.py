@@ -18,7 +18,7 @@ from sb3_options.callbacks.records import ClosedOption
 from sb3_options.callbacks.settings import ConceptSettings, OptionUse
 from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_results, save_or_warn
 from sb3_options.callbacks.usefulness import Verdict
-from sb3_options.checked import given_as
+from sb3_options.checked import given_as, whole
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
@@ -101,6 +101,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.max_new_options = max_new_options
         self.save_path: str | os.PathLike[str] | None = None
         self.hparams: Mapping[str, Any] | None = None
+        if not whole(seed, 0):
+            raise ValueError(f"seed must be a whole number of at least 0, got {seed!r}.")
         self.seed = seed
         self.episodes = 0
         self.history: list[EpisodeRecord] = []

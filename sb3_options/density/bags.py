@@ -143,8 +143,10 @@ def check_finite(name: str, features: FloatArray) -> None:
 def positive_scale(scale: object) -> bool:
     """Whether this is a scale: positive and finite, a number or (d,)."""
     array = np.asarray(scale)
-    real = array.dtype.kind in "iuf" and array.ndim < 2
-    return real and bool(((array > 0) & (array <= LARGEST_SCALE)).all())
+    if array.dtype.kind not in "iuf" or array.ndim > 1:
+        return False
+    array = array.astype(np.float64)
+    return bool(((array > 0) & (array <= LARGEST_SCALE)).all())
 
 
 def in_range(negative_strength: Any, leak: Any) -> dict[str, tuple[str, bool]]:

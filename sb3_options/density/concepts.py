@@ -52,7 +52,7 @@ class Point:
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range."""
-        if self.scales not in ("each", "one", "fixed"):
+        if not (isinstance(self.scales, str) and self.scales in ("each", "one", "fixed")):
             raise ValueError(f'scales must be "each", "one" or "fixed", got {self.scales!r}')
         bounds = self.scale_bounds
         pair = isinstance(bounds, Sequence) and len(bounds) == 2 and all(map(is_number, bounds))

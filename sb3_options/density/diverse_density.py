@@ -132,13 +132,16 @@ class DiverseDensity:
 
     def __post_init__(self) -> None:
         """Refuse arguments out of range, by name."""
-        known_scale = self.concept == POINT
+        known_scale = isinstance(self.concept, Point) and self.concept == POINT
         if self.method is None:
             object.__setattr__(self, "method", "gradient" if known_scale else "thorough")
         for name, (expected, holds) in {
             "concept": ("a Point or a HalfSpace", isinstance(self.concept, Point | HalfSpace)),
             "scale": ("positive, finite, a number or (d,)", positive_scale(self.scale)),
-            "method": ('"gradient", "thorough" or "exhaustive"', self.method in ("gradient", "thorough", "exhaustive")),
+            "method": (
+                '"gradient", "thorough" or "exhaustive"',
+                isinstance(self.method, str) and self.method in ("gradient", "thorough", "exhaustive"),
+            ),
             "max_starts": (
                 "a whole number of at least 1, or None",
                 self.max_starts is None or whole(self.max_starts, 1),

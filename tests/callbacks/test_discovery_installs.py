@@ -116,7 +116,7 @@ def test_other_observations(observation: str) -> None:
     ("groups", "message"),
     [
         ([{"name": "a", "features": [7]}], "7"),
-        ([{"name": "a", "features": [0], "present": [[7]]}], "7"),
+        ([{"name": "a", "features": [0], "present": [[7]]}], "present must be sets of its features"),
         ([{"name": "a", "features": [0]}, {"name": "a", "features": [1]}], "two groups of features have the same name"),
     ],
 )

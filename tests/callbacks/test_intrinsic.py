@@ -165,6 +165,7 @@ def test_a_replay_buffer_is_relabelled_with_the_counts_of_now(algorithm: Any, no
     env: Any = VecNormalize(venv, gamma=GAMMA, clip_reward=np.inf) if normalized else venv
     model = algorithm(
         "MlpPolicy", env, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=50, train_freq=4,
+        replay_buffer_kwargs={"n_steps": 1},
         exploration_fraction=1.0, policy_kwargs={"net_arch": [8]}, buffer_size=5000, seed=0,
     )  # fmt: skip
     bonus = IntrinsicRewardCallback(weight=WEIGHT)
