@@ -95,6 +95,7 @@ class SlotRecord:
     # last episodes, and whether each of the last successes passed the subgoal.
     new: deque[tuple[Observations, Ending]] = field(default_factory=lambda: deque(maxlen=WINDOW))
     judged: deque[tuple[FloatArray, Ending]] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    last: deque[Ending] = field(default_factory=lambda: deque(maxlen=WINDOW))
     episodes: deque[Episode] = field(default_factory=lambda: deque(maxlen=WINDOW))
     needed: deque[bool] = field(default_factory=lambda: deque(maxlen=WINDOW))
 
@@ -122,6 +123,7 @@ class Usefulness:
         if ending in ("subgoal", "left_initiation", "max_duration", "failed"):
             assert run.observations is not None  # it is that of an option
             self._of(run.index).new.append((run.observations, ending))
+            self._of(run.index).last.append(ending)
 
     def episode_ended(self, env: int, filled: Iterable[int], *, success: bool) -> None:
         """Note which options ran in an episode."""
@@ -153,8 +155,13 @@ class Usefulness:
                 continue
             self._see(record, option, options.features_of)
             lost = self._failing(record, option)
+            whole = (
+                verdict(record.last, record.episodes, self.settings.min_reached) if len(record.last) == WINDOW else None
+            )
             why = verdict(record.endings, record.episodes, self.settings.min_reached)
-            if lost.any() and not lost.all():
+            if whole == "does not arrive":  # and it is no use to lose more states
+                yield slot, whole
+            elif lost.any() and not lost.all():
                 region = option.initiation_set
                 self._remember(slot, option, region.points[lost])
                 self.forget_runs(slot)

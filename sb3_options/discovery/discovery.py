@@ -151,8 +151,11 @@ class Discovery:
                 f"features must have shape (m, d), one row for each of the trajectory's {n_states} distinct "
                 f"observations, got {features.shape}"
             )
-        if not np.isfinite(features).all():
-            raise ValueError("a trajectory has features, or observations, that are NaN or infinite")
+        if not (np.isfinite(features).all() and np.isfinite(trajectory.rewards).all()):
+            raise ValueError(
+                "a trajectory has rewards, features or observations that are NaN or infinite; OptionsWrapper(..., "
+                "check_finite=True) shows where"
+            )
         said = self.success(trajectory) if success is None else success
         labelled = LabelledTrajectory(trajectory, features, bool(said))
         self.diary.add(trajectory, success=labelled.success)

@@ -1,6 +1,7 @@
 """Discovery goes on in a second training and in hard tasks, and options that are there change or are closed."""
 
 import logging
+import math
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,14 @@ class TestGoesOn:
         assert logged[0].startswith("No discovery after episode 1: ")
         assert "NaN" in logged[0]
         assert len(callback.discoveries) == 1
+
+    @pytest.mark.parametrize("reward", [math.nan, math.inf])
+    def test_rewards_that_are_not_finite_are_named(self, reward: float) -> None:
+        env = OptionsWrapper(gym.wrappers.TransformReward(small_rooms(), lambda _: reward), gamma=0.9)
+        callback, model = fast_callback(success="terminated"), model_of(env)
+        model.learn(200, callback=callback)
+        assert "rewards, features or observations that are NaN or infinite; OptionsW" in (callback.why_nothing() or "")
+        assert not callback.discoveries
 
 
 def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,6 +111,17 @@ def test_states_from_where_runs_do_not_arrive_leave_the_initiation_set(ended: st
     assert not list(useful.judged(options)), "its runs count from now on"
 
 
+def test_an_option_that_loses_states_and_still_does_not_arrive_is_closed() -> None:
+    """In PutNear "key at forward 0" lost states again and again, and arrived in none of its last hundreds of runs."""
+    useful, options = judging(), installed(option(FINE, CIRCLE, FAR))
+    yielded = []
+    for _ in range(WINDOW // RUNS_BETWEEN):
+        for _ in range(RUNS_BETWEEN):
+            add(useful, "left_initiation", CIRCLE)
+        yielded += [what if isinstance(what, str) else "loses states" for _, what in useful.judged(options)]
+    assert yielded == ["loses states", "loses states", "loses states", "does not arrive"]
+
+
 @pytest.mark.parametrize("n_circles", [MIN_PASSES - 1, 12])
 def test_few_runs_and_half_of_them_are_not_enough(n_circles: int) -> None:
     useful = judging()

@@ -266,7 +266,10 @@ class TestAdd:
         trajectory, features = on_a_line(0, 5, 20)
         features = features.copy()
         features[1] = bad
-        with pytest.raises(ValueError, match=r"^a trajectory has features, or observations, that are NaN or infinite$"):
+        with pytest.raises(
+            ValueError,
+            match=r"^a trajectory has rewards, features or observations that are NaN or infinite; .*check_finite",
+        ):
             discovery.add(trajectory, features)
         assert len(discovery.database) == 0
         discovery.add(*on_a_line(0, 5, 20))
