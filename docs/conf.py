@@ -12,7 +12,7 @@ copyright = author
 version = release = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "docs.site"]
-root_doc = "docs/index"
+root_doc = "README"
 include_patterns = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/**"]
 exclude_patterns = [".*", "benchmarks", "build", "envs", "callbacks", "examples", "experiments", "mutants", "out"]
 exclude_patterns += ["runs", "sb3_options", "tests"]  # without them Sphinx would look for pages everywhere

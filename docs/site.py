@@ -56,15 +56,17 @@ ANNOTATED = re.compile(r"~?\w+\.Annotated\[([^,]+), ~?(?:pydantic\.fields\.)?Fie
 
 
 def add_menu(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Add the menu to the index: a hidden table of contents for each folder that the index links to.
+    """Add the menu to the home page: a hidden table of contents for each folder that the index links to.
 
-    The index is the one list of pages. The directives are not in its file, where a code host would show them as text.
+    The index is the one list of pages. The directives are in no file, where a code host would show them as text.
     """
     if docname != app.config.root_doc:
         return
-    pages: dict[str, str] = {}
-    for target in LINK.findall(source[0]):
-        page = posixpath.normpath(posixpath.join(posixpath.dirname(docname), target))
+    pages = {"docs/index.md": CAPTIONS["docs"]}
+    for target in LINK.findall((app.srcdir / "docs/index.md").read_text()):
+        page = posixpath.normpath(posixpath.join("docs", target))
+        if page == f"{docname}.md":
+            continue
         folder = posixpath.dirname(page)
         if folder not in CAPTIONS:
             raise ValueError(f"CAPTIONS must say under which heading of the menu the pages of {folder!r} stand.")

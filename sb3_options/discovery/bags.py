@@ -77,6 +77,7 @@ class BagMaker:
         self.settings = settings
         self.filters = filters
         self.contrast = contrast
+        self.emptied_by = ""  # the setting of the filter that left too few bags, or of the last one
         self._passing = PassingShare(settings.subgoal_radius)
         self._known: dict[LabelledTrajectory, _Bag] = {}
         self._others: list[Region] = []
@@ -91,11 +92,13 @@ class BagMaker:
             return None
         self._know(database if self.settings.negative_bags else positive, others)
         known = [self._known[t] for t in positive]
-        outstanding = np.split(self._standing_out(known), np.cumsum([len(k.rows) for k in known])[:-1])
-        bags = [k.states[keep & k.far] for k, keep in zip(known, outstanding, strict=True)]
-        positive_bags = [bag for bag in bags if len(bag)]
-        if len(positive_bags) < self.settings.min_positive:
-            return None
+        left = self._standing_out(known)
+        left["spacing"] = left[list(left)[-1]] & np.concatenate([k.far for k in known])
+        for self.emptied_by, keep in left.items():
+            kept = np.split(keep, np.cumsum([len(k.rows) for k in known])[:-1])
+            positive_bags = [k.states[own] for k, own in zip(known, kept, strict=True) if own.any()]
+            if len(positive_bags) < self.settings.min_positive:
+                return None
         negative = [k.free for t, k in self._known.items() if not t.success]
         return FilteredBags(positive_bags, [bag for bag in negative if len(bag)])
 
@@ -135,22 +138,25 @@ class BagMaker:
         rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else first_rows(scaled)
         return _Bag(labelled, rows, states[rows], scaled[rows], self.filters.allowed(labelled)[rows])
 
-    def _standing_out(self, known: Sequence[_Bag]) -> BoolArray:
-        """Which states stand out: by `min_contrast`, or by `min_passing` and `min_cut`.
+    def _standing_out(self, known: Sequence[_Bag]) -> dict[str, BoolArray]:
+        """Which states each filter leaves, one filter after the other: `min_contrast`, or `min_passing` and `min_cut`.
 
         All ways at once, way after way: a call for each of a hundred takes longer than what it computes.
         """
         allowed: BoolArray = np.concatenate([k.allowed for k in known])
+        left = {"start_radius and goal_radius": allowed}
         if self.contrast is not None:
             least = self.settings.min_contrast
             outstanding = [self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
-            return np.concatenate(outstanding) & allowed
+            return left | {"min_contrast": np.concatenate(outstanding) & allowed}
         if self.settings.min_passing == 0.0:
-            return allowed
+            return left
         passages: BoolArray = allowed & (self._passing.update([k.scaled for k in known]) >= self.settings.min_passing)
+        left["min_passing"] = passages
         if self.cuts is not None:
             for k in known:
                 k.numbers = self.cuts.numbers(k.states) if k.numbers is None else k.numbers
             numbers = np.concatenate([k.numbers for k in known if k.numbers is not None])
-            passages[passages] = self.cuts.shares(numbers[passages]) >= self.settings.min_cut
-        return passages
+            left["min_cut"] = passages.copy()
+            left["min_cut"][passages] = self.cuts.shares(numbers[passages]) >= self.settings.min_cut
+        return left

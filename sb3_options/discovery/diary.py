@@ -31,6 +31,7 @@ class Diary:
         spent: Nominal seconds of discovery.
         skipped: Searches that were not made, because the budget was spent.
         seconds: Measured seconds of discovery. No decision depends on them.
+        reported: Whether the environment says itself what succeeds, with ``info["is_success"]``.
         n_withdrawn: Subgoals for which no option could be learned.
     """
 
@@ -41,6 +42,7 @@ class Diary:
     n: int = 0
     successes: int = 0
     terminated: int = 0
+    reported: bool = False
     lowest: float = float("inf")
     highest: float = float("-inf")
     steps: int = 0
@@ -57,6 +59,7 @@ class Diary:
         self.n += 1
         self.successes += success
         self.terminated += trajectory.terminated
+        self.reported |= trajectory.is_success is not None
         self.steps += len(trajectory)
         total = float(trajectory.rewards.sum())
         self.lowest = min(self.lowest, total)
@@ -84,7 +87,7 @@ class Diary:
         """Warn once for each subgoal that no option could be learned."""
         if where not in self.without_option:
             self.without_option.add(where)
-            logger.warning("No option for %s: no saved trajectory leads to it (surely enough, min_reach).", where)
+            logger.warning("No option for %s: no saved trajectory leads to it reliably enough (min_reach).", where)
 
     def why_nothing(self, method: Method, n_found: int, n_episodes: int) -> str:
         """Why there is no option, in a sentence; the number of subgoals where there are some."""
@@ -96,27 +99,24 @@ class Diary:
         if n_episodes and self.n_unusable == n_episodes:
             return f"No subgoal was discovered: {unusable}"
         why = f"No subgoal was discovered: {self._first_reason(method)}"
-        if self.skipped:
-            why += (
-                f" {self.skipped} searches were left out, because max_share={self.max_share:g} affords no more: a "
-                "larger one, or features that are fewer, gives more of them."
-            )
+        if self.skipped and method.n_successes(self):
+            why += f" {self.skipped} searches were left out to save time: raise max_share={self.max_share:g}."
         return f"{why} And {unusable}" if self.n_unusable else why
 
     def _first_reason(self, method: Method) -> str:
         if self.n == 0:
             return (
-                f"no {self.unit} has ended. Train for longer, or give the environment a time limit, gym.make(..., "
-                "max_episode_steps=...). A task that goes on for ever is cut at peaks of reward: "
-                'DiscoverySettings(segmentation="peaks", max_segment=...).'
+                f"no {self.unit} has ended. Train for longer, or set a time limit: gym.make(..., "
+                'max_episode_steps=500). A task without an end needs segmentation="peaks".'
             )
         if method.needs_success and not method.n_successes(self):
-            return (
+            why = (
                 f"no success in {self.n} {self.unit}s ({self.terminated} terminated, {self.n - self.terminated} "
-                f"truncated, returns {self.lowest:g} to {self.highest:g}). Train for longer, add an exploration bonus "
-                "(train.py --bonus rnd, in a script IntrinsicRewardCallback), or choose another rule of success "
-                '(train.py --success terminated, or --success return:NUMBER; in a script success="terminated").'
+                f"truncated, returns {self.lowest:g} to {self.highest:g}). "
             )
+            if self.terminated and self.lowest < self.highest and not self.reported:
+                return why + 'Say what counts as a success: success="terminated", or success="return:NUMBER".'
+            return why + 'Train for longer, or add an exploration bonus: IntrinsicRewardCallback("rnd").'
         if self.n_withdrawn:
-            return "no saved trajectory leads to the one that was found (surely enough, min_reach)."
+            return "no saved trajectory leads to the subgoal reliably enough. Train for longer, or lower min_reach."
         return method.why_nothing(self)

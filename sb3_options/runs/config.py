@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import field
@@ -151,6 +152,12 @@ class TrainConfig:
 FIELDS = {f.name: f for f in dataclasses.fields(TrainConfig)}
 GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings, "usefulness": UsefulnessSettings}
 """The settings that are classes of settings themselves."""
+
+SPELT = {
+    'IntrinsicRewardCallback("rnd")': "--bonus rnd",
+    "gym.make(..., max_episode_steps=500)": "--env-kwargs max_episode_steps:500",
+}
+"""What a script does with calls, as flags."""
 
 HOW_IT_RAN = frozenset({"checkpoint_freq", "compare", "device", "progress", "tensorboard_log", "vec_env"})
 """Settings without effect on learning."""
@@ -304,6 +311,21 @@ def with_trusted(values: Mapping[str, Any], trusted: Mapping[str, str | None], s
 def flag(name: str) -> str:
     """How the command line spells a setting."""
     return f"--{name.replace('_', '-')}"
+
+
+def with_flags(text: str) -> str:
+    """A message of the library in the words of the command line: ``--max-options`` for ``max_options``."""
+    groups = {f.name: group for group, of in GROUPS.items() for f in dataclasses.fields(of)}
+
+    def as_flag(found: re.Match[str]) -> str:
+        name, value = found[1], found[2]
+        if (name not in FIELDS and name not in groups) or not (value or "_" in name):
+            return found[0]
+        return flag(name if name in FIELDS else f"{groups[name]}.{name}") + (f" {value}" if value else "")
+
+    for script, words in SPELT.items():
+        text = text.replace(script, words)
+    return re.sub(r'(\w+)(?:="?([\w:.]*\w)"?)?', as_flag, text)
 
 
 def program() -> str:

@@ -141,9 +141,17 @@ def train(config: TrainConfig, console: Console | None = None, *, resumed: Path 
     return trained._replace(signal=interrupts.signal)
 
 
+class _DiscoveryCallback(SubgoalDiscoveryCallback):
+    """Spells settings as flags where it says why nothing was discovered."""
+
+    def why_nothing(self) -> str | None:
+        why = super().why_nothing()
+        return why and configs.with_flags(why)
+
+
 def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDiscoveryCallback:
     """The callback that a run trains with."""
-    return SubgoalDiscoveryCallback(
+    return _DiscoveryCallback(
         config.discovery,
         config.option,
         max_new_options=config.max_new_options if config.discover else 0,

@@ -25,10 +25,10 @@ def add(discovery: Discovery, n: int = 1, **kwargs: Any) -> None:
     ("kwargs", "outcome", "text"),
     [
         ({}, {"terminated": True, "rewards": [-1.0, -100.0]}, "(20 terminated, 0 truncated, returns -101 to -101)."),
-        ({"success": lambda trajectory: False}, {"is_success": True}, "or choose another rule of success"),
+        ({}, {"terminated": True, "rewards": [0.0, 0.0]}, "or add an exploration bonus"),
         ({"settings": DiscoverySettings(segmentation="peaks")}, {"is_success": False}, "no success in 20 segments"),
     ],
-    ids=["counts", "a rule of the user", "segments"],
+    ids=["counts", "no reward", "segments"],
 )
 def test_there_is_one_warning_where_nothing_succeeds(
     kwargs: Any, outcome: Any, text: str, caplog: pytest.LogCaptureFixture
@@ -52,21 +52,24 @@ def test_there_is_none_where_one_succeeds(caplog: pytest.LogCaptureFixture) -> N
     add(discovery, 3 * SILENT_TRAJECTORIES, is_success=False)
     assert not caplog.records
     assert discovery.why_nothing() == (
-        "No subgoal was discovered: 1 of 61 episodes were successful; a search needs 4 (min_positive) of which the "
-        "filters leave something."
+        "No subgoal was discovered: 1 of 61 episodes succeeded; a search needs 4. Train for longer."
     )
 
 
-def test_filters_that_leave_nothing_are_named() -> None:
-    discovery = Discovery(DiscoverySettings(min_positive=2, start_radius=99.0))
+@pytest.mark.parametrize(
+    ("settings", "remedy"),
+    [
+        ({"start_radius": 99.0}, "Lower start_radius and goal_radius."),
+        ({"start_radius": 0.0, "goal_radius": 0.0, "min_passing": 0.99}, "Lower min_passing, or pass a feature_map"),
+    ],
+)
+def test_the_filter_that_leaves_nothing_is_named(settings: Any, remedy: str) -> None:
+    discovery = Discovery(DiscoverySettings(min_positive=2, scale=1.0, **settings))
     add(discovery, 3, is_success=True)
     assert discovery.search() is None
-    assert (
-        "3 of 3 episodes were successful; a search needs 2 (min_positive) of which the filters leave something. They "
-        "leave out what is near start and goal (start_radius, goal_radius), near the subgoal of an option (spacing), "
-        "what few ways lead through (min_passing, min_cut), and, in groups of features, what failures visit as often "
-        "(min_contrast). Where observations hardly ever repeat, a feature map"
-    ) in discovery.why_nothing()
+    why = discovery.why_nothing()
+    assert "3 of 3 episodes succeeded, but fewer than 2 have a state that" in why
+    assert remedy in why
 
 
 def test_after_a_search() -> None:
@@ -76,7 +79,9 @@ def test_after_a_search() -> None:
     add(discovery, 2, is_success=True)
     assert discovery.search() is None
     assert peaks_of(discovery).evidence is not None
-    text = "No subgoal was discovered: no peak of diverse density persisted long enough."
+    text = (
+        "No subgoal was discovered: no peak of diverse density persisted (threshold) in 2 episodes. Train for longer."
+    )
     assert discovery.why_nothing() == text
     (shown,) = subgoals_figure(discovery, OptionBank(4, 2)).axes[0].texts
     assert " ".join(shown.get_text().split()) == text

@@ -126,7 +126,7 @@ def test_there_is_no_lack_where_something_was_found() -> None:
     discovery.search()
     assert discovery.why_nothing() == "Subgoals discovered that have an option: 1."
     discovery.withdraw()
-    assert "no saved trajectory leads to the one that was found" in discovery.why_nothing()
+    assert "no saved trajectory leads to the subgoal" in discovery.why_nothing()
 
 
 def test_what_no_option_could_be_learned_for_comes_again_and_blocks_nothing_near() -> None:

@@ -30,6 +30,15 @@ NOTHING_LEFT = 5
 PEAK_TOLERANCE = 1e-3
 """Peaks whose log density is within this of the best one tie with it, in nats: what ascents leave undone."""
 
+REMEDIES = {
+    "start_radius and goal_radius": "is far enough from start and goal. Lower start_radius and goal_radius.",
+    "min_contrast": "they visit much more often than failures do. Lower min_contrast.",
+    "min_passing": "enough of the others pass too. Lower min_passing, or pass a feature_map in which places recur.",
+    "min_cut": "cuts off enough of the other states. The task may have no bottleneck; else lower min_cut.",
+    "spacing": "is far enough from the subgoals of options. Lower spacing.",
+}
+"""What each filter asks of a state, and what to do where it leaves too few."""
+
 
 class PersistentPeaks(Method):
     """Searches the bags of the database, and proposes the peaks of diverse density that persist.
@@ -203,20 +212,15 @@ class PersistentPeaks(Method):
 
     def why_nothing(self, diary: Diary, n_positive: int | None = None) -> str:
         """Why it proposed nothing, with so many positive bags; as `Method.why_nothing`."""
+        least = self.settings.min_positive
         if self.evidence is not None:
-            return "no peak of diverse density persisted long enough."
-        why = (
-            f"{diary.successes} of {diary.n} {diary.unit}s were successful; a search needs "
-            f"{self.settings.min_positive} (min_positive) of which the filters leave something."
+            return f"no peak of diverse density persisted (threshold) in {diary.n} {diary.unit}s. Train for longer."
+        if (diary.successes if n_positive is None else n_positive) < least or not self.maker.emptied_by:
+            return f"{diary.successes} of {diary.n} {diary.unit}s succeeded; a search needs {least}. Train for longer."
+        return (
+            f"{diary.successes} of {diary.n} {diary.unit}s succeeded, but fewer than {least} have a state that "
+            f"{REMEDIES[self.maker.emptied_by]}"
         )
-        if (diary.successes if n_positive is None else n_positive) >= self.settings.min_positive:
-            why += (
-                " They leave out what is near start and goal (start_radius, goal_radius), near the subgoal of an "
-                "option (spacing), what few ways lead through (min_passing, min_cut), and, in groups of features, what "
-                "failures visit as often (min_contrast). Where observations hardly ever repeat, a feature map that "
-                "says where the agent is helps, OptionsWrapper(feature_map=...)."
-            )
-        return why
 
     def _places(self) -> FloatArray:
         """The middles of the best peaks' plateaus, (n, d); none if they are too many or too wide."""

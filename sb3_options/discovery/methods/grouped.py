@@ -93,6 +93,8 @@ class GroupedPeaks(Method):
                 if member.contrast.largest() >= self.settings.min_contrast:
                     member.search(experience)
                     self._cost += member.seconds(experience)
+                else:
+                    member.maker.emptied_by = "min_contrast"
         averages = [member.tracker.leading_average() for member in self._members]
         self._leading = int(np.argmax(averages))
         return self.proposals(experience)
