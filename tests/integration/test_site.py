@@ -53,7 +53,7 @@ def test_every_page_is_on_the_site(built: Built) -> None:
         title = re.search(r"^# (.*)$", text_of(page), flags=re.MULTILINE)
         assert title
         assert re.sub(r"[`’']", "", title[1]) in re.sub(r"[`’']", "", built.words(name)), name
-    assert 'url=docs/index.html"' in built.text("index")
+    assert 'url=README.html"' in built.text("index")
 
 
 @pytest.mark.slow
