@@ -42,7 +42,7 @@ class OptionDQN(MaskedPrediction, DQN):
         policy: As for ``DQN``.
         env: Wrapped in `OptionsWrapper`.
         replay_buffer_class: `OptionReplayBuffer` or a subclass.
-        n_steps: Decisions of an n-step return; with options, each of several steps, 3 was better than 1 and 10.
+        n_steps: Decisions of an n-step return.
         **kwargs: As for ``DQN``.
 
     Raises:

@@ -78,7 +78,8 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
     if config.algo in OFF_POLICY:
         # The rollout buffers of the others are the callback's affair.
         arguments["replay_buffer_class"] = OptionReplayBuffer
-        arguments["replay_buffer_kwargs"] = {"n_steps": arguments.pop("n_steps", 1)}
+        n_steps = arguments.pop("n_steps", None)
+        arguments["replay_buffer_kwargs"] = {} if n_steps is None else {"n_steps": n_steps}
     if playing:
         arguments |= {"buffer_size": 1} if config.algo in OFF_POLICY else {"n_steps": arguments.get("batch_size", 2)}
     try:

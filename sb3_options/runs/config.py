@@ -183,7 +183,8 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
         of_env = _tuned(str(values.get("env", TrainConfig.env)))
         algo = str(values.get("algo", of_env.get("algo", TrainConfig.algo)))
         check_algo(algo)
-        of_algo = next(block for names, block in shipped("defaults.yml").items() if algo in names.split())
+        blocks = [block for names, block in shipped("defaults.yml").items() if algo in names.split()]
+        of_algo = {name: value for block in blocks for name, value in block.items()}
         of_env = {name: value for name, value in of_env.items() if name in (*FIELDS, *of_algo)}
         content, arguments = _sorted(of_algo | of_env)
         given, own = _sorted(values)

@@ -1,7 +1,7 @@
 """The models of the command line take what SB3's classes take."""
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -29,6 +29,12 @@ def test_every_class_is_given_arguments_that_have_no_setting(algo: str) -> None:
     assert 0.25 in (getattr(model, "max_grad_norm", None), getattr(model, "cg_damping", None))
     with pytest.raises(ValueError, match="there is no setting 'no_such_thing'"):
         configured(algo, no_such_thing=1)
+
+
+@pytest.mark.parametrize(("algo", "n_steps"), [("dqn", 1), ("qrdqn", 1), ("optiondqn", 3)])
+def test_returns_span_as_many_decisions_as_in_a_script(algo: str, n_steps: int) -> None:
+    assert cast("Any", model_of(algo)).replay_buffer.n_steps == n_steps
+    assert cast("Any", model_of(algo, n_steps=5)).replay_buffer.n_steps == 5
 
 
 def test_arguments_of_the_policy_go_with_the_layers() -> None:
