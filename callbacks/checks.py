@@ -57,7 +57,7 @@ def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
     """Refuse a model or environments with which options would spoil what is learned."""
     check_wrapped(venv, "The model's environment")
     family = family_of(model)
-    family.check_buffer()
+    family.prepare_buffer()
     banks = venv.get_attr("bank")
     if banks[0].max_options:
         family.check(venv)

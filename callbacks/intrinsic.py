@@ -26,6 +26,7 @@ from sb3_options.experience.observations import (
     take,
 )
 from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.families import family_of
 from sb3_options.learning.novelty import (
     NoveltyKind,
     RandomNetworkDistillation,
@@ -93,12 +94,13 @@ class IntrinsicRewardCallback(BaseCallback):
         gamma: float = self.model.gamma  # type: ignore[attr-defined]  # every algorithm has it
         if gamma >= 1.0:
             raise ValueError(f"A bonus needs gamma below 1, or its return has no bound, got gamma={gamma}.")
-        self._replay = getattr(self.model, "replay_buffer", None)
+        family = family_of(self.model)
+        family.prepare_buffer()
+        self._replay = family.replay_buffer
         if not isinstance(getattr(self.model, "rollout_buffer", self._replay), RolloutBuffer | OptionReplayBuffer):
             raise TypeError(
-                f"{type(self.model).__name__} has no rollout buffer and no OptionReplayBuffer, which a bonus could be "
-                "added to: IntrinsicRewardCallback is for PPO, A2C, DQN and the like; pass "
-                "replay_buffer_class=OptionReplayBuffer."
+                f"{type(self.model).__name__} has no buffer which a bonus could be added to: IntrinsicRewardCallback "
+                "is for PPO, A2C, DQN and the like."
             )
         if self._replay is not None and not self._replay.macro_q:
             raise ValueError(

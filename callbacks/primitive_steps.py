@@ -73,7 +73,7 @@ class PrimitiveStepsCallback(BaseCallback):
     def _on_training_start(self) -> None:
         self._installer = None
         check_every_step(self)
-        family_of(self.model).check_buffer()
+        family_of(self.model).prepare_buffer()
         self._start_counting()
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # a custom SMDP environment; its infos are checked in _on_step

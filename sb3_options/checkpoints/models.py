@@ -52,11 +52,7 @@ def check(model: BaseAlgorithm) -> None:
         raise ValueError(
             f"Checkpoints of {type(model).__name__} are not supported yet; those of {', '.join(SUPPORTED)} are."
         )
-    buffer = getattr(model, "replay_buffer", None)
-    if not isinstance(buffer, OptionReplayBuffer | None):
-        raise ValueError(
-            f"Checkpoints of {type(buffer).__name__} are not supported: pass replay_buffer_class=OptionReplayBuffer."
-        )
+    family_of(model).prepare_buffer()
 
 
 def get_state(model: BaseAlgorithm) -> State:

@@ -61,8 +61,8 @@ class Family:
         """The replay buffer, if it is one over options."""
         return None
 
-    def check_buffer(self) -> None:
-        """Refuse a buffer that would discount an option of k steps with γ."""
+    def prepare_buffer(self) -> None:
+        """Put an `OptionReplayBuffer` in the place of SB3's empty one; refuse other buffers that discount with γ."""
 
     def check(self, venv: VecEnv) -> None:
         """Refuse networks, buffers and wrappers that options would spoil, with what to change."""
@@ -191,22 +191,27 @@ class ValueBased(Networks):
         buffer = self.model.replay_buffer
         return buffer if isinstance(buffer, OptionReplayBuffer) else None
 
-    def check_buffer(self) -> None:
-        """Refuse a replay buffer that discounts with γ, or that was not told of the model's ``n_steps``."""
+    def prepare_buffer(self) -> None:
+        """Also refuse one that was not told of the model's ``n_steps``."""
         buffer, name = self.model.replay_buffer, type(self.model).__name__
         if buffer is None:
             return
-        if not isinstance(buffer, OptionReplayBuffer):
-            raise ValueError(
-                f"{name} was built with {type(buffer).__name__}, which discounts an option of k steps with γ instead "
-                f"of γᵏ: pass {name}(..., replay_buffer_class=OptionReplayBuffer)."
-            )
+        if self.replay_buffer is None:
+            if not self._can_be_replaced(buffer) or buffer.size():
+                raise ValueError(
+                    f"{name} was built with {type(buffer).__name__}, which discounts an option of k steps with γ "
+                    f"instead of γᵏ: pass {name}(..., replay_buffer_class=OptionReplayBuffer)."
+                )
+            self._use_option_buffer(self.model.action_space)
         n_steps = getattr(self.model, "n_steps", 1)
-        if n_steps > 1 and buffer.n_steps != n_steps:
+        if n_steps > 1 and self.model.replay_buffer.n_steps != n_steps:
             raise ValueError(
-                f"SB3 does not pass n_steps={n_steps} on to OptionReplayBuffer, which has n_steps={buffer.n_steps}: "
-                f"pass {name}(..., replay_buffer_kwargs={{'n_steps': {n_steps}}}) instead of n_steps."
+                f"SB3 does not pass n_steps={n_steps} on to OptionReplayBuffer: pass "
+                f"{name}(..., replay_buffer_kwargs={{'n_steps': {n_steps}}}) instead of n_steps."
             )
+
+    def _can_be_replaced(self, buffer: Any) -> bool:
+        return type(buffer) in STOCK_BUFFERS and not buffer.optimize_memory_usage
 
     def check(self, venv: VecEnv | None = None) -> None:
         """Also refuse stacked frames that could not be stored, and a clip of sums of rewards."""
@@ -243,7 +248,7 @@ class ValueBased(Networks):
         buffer = self.model.replay_buffer
         if buffer is None or self.replay_buffer is not None:
             return
-        if type(buffer) not in STOCK_BUFFERS or buffer.optimize_memory_usage:
+        if not self._can_be_replaced(buffer):
             raise TypeError(
                 f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of "
                 f"{', '.join(each.__name__ for each in STOCK_BUFFERS)} without optimize_memory_usage: set "
@@ -257,7 +262,12 @@ class ValueBased(Networks):
         model.policy.net_args["action_space"] = actions  # for building networks
         if self.replay_buffer is not None:
             self.replay_buffer.action_space = actions
-            return
+        else:
+            self._use_option_buffer(actions)
+
+    def _use_option_buffer(self, actions: spaces.Discrete) -> None:
+        """Make the replay buffer an `OptionReplayBuffer` with the transitions that are in it."""
+        model = self.model
         stock = model.replay_buffer
         kwargs = {key: value for key, value in model.replay_buffer_kwargs.items() if key in KEPT_KWARGS}
         model.replay_buffer_class = OptionReplayBuffer

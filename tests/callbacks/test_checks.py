@@ -3,12 +3,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from gymnasium import spaces
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnvWrapper, VecNormalize
 
@@ -31,6 +32,10 @@ class OwnBuffer(RolloutBuffer):
     """A user's own."""
 
 
+class OwnReplay(ReplayBuffer):
+    """A user's own."""
+
+
 @pytest.mark.parametrize(
     ("model", "error", "text"),
     [
@@ -45,9 +50,9 @@ class OwnBuffer(RolloutBuffer):
             r"OptionsWrapper discounts with gamma=0\.95, DQN with gamma=0\.9: give both the same",
         ),
         (
-            lambda: dqn(optioned_rooms(), replay_buffer_class=None),
+            lambda: dqn(optioned_rooms(), replay_buffer_class=OwnReplay),
             ValueError,
-            r"DQN was built with ReplayBuffer, .*: pass DQN\(\.\.\., replay_buffer_class=OptionReplayBuffer\)",
+            r"DQN was built with OwnReplay, .*: pass DQN\(\.\.\., replay_buffer_class=OptionReplayBuffer\)",
         ),
         (
             lambda: dqn(optioned_rooms(), gamma=0.95),
@@ -73,6 +78,24 @@ def test_says_what_to_change(model: Any, error: type[Exception], text: str) -> N
     built: BaseAlgorithm = model()
     with pytest.raises(error, match=text):
         built.learn(20, callback=SubgoalDiscoveryCallback())
+
+
+@pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback, IntrinsicRewardCallback])
+@pytest.mark.parametrize("n_steps", [1, 3])
+def test_a_stock_replay_buffer_is_replaced(callback: Any, n_steps: int) -> None:
+    stock = dqn(optioned_rooms(), replay_buffer_class=None, n_steps=n_steps).learn(100, callback=callback())
+    ours = dqn(optioned_rooms(), replay_buffer_kwargs={"n_steps": n_steps}).learn(100, callback=callback())
+    assert isinstance(stock.replay_buffer, OptionReplayBuffer)
+    assert stock.replay_buffer.n_steps == n_steps
+    for mine, theirs in zip(stock.policy.parameters(), ours.policy.parameters(), strict=True):
+        assert torch.equal(mine, theirs)
+
+
+def test_a_stock_replay_buffer_that_holds_options_is_refused() -> None:
+    model = dqn(optioned_rooms(), replay_buffer_class=None)
+    model.learn(20)
+    with pytest.raises(ValueError, match=r"DQN was built with ReplayBuffer, .*: pass DQN"):
+        model.learn(20, callback=SubgoalDiscoveryCallback())
 
 
 class TestEvaluationEnvironment:

@@ -11,12 +11,10 @@ from sb3_options.callbacks import SubgoalDiscoveryCallback
 def test_six_lines(tmp_path: Path) -> None:
     from stable_baselines3 import DQN
 
-    from sb3_options import OptionReplayBuffer, OptionsWrapper
+    from sb3_options import OptionsWrapper
 
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"), max_options=4, gamma=0.99)
-    model = DQN(
-        "MlpPolicy", env, gamma=0.99, replay_buffer_class=OptionReplayBuffer, tensorboard_log=str(tmp_path / "runs")
-    )
+    model = DQN("MlpPolicy", env, gamma=0.99, tensorboard_log=str(tmp_path / "runs"))
     callback = SubgoalDiscoveryCallback()
     model.learn(800, callback=callback)
     assert model.num_timesteps == 800
