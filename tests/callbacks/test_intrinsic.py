@@ -300,11 +300,12 @@ class TestErrors:
             model.learn(16, callback=IntrinsicRewardCallback())
 
     def test_an_algorithm_without_a_buffer(self) -> None:
-        agent = MacroQ(optioned_rooms(), gamma=0.9)
-        stock = DQN("MlpPolicy", small_rooms(), gamma=0.9, buffer_size=50)
-        for each in (agent, stock):
-            with pytest.raises(TypeError, match="has no rollout buffer and no OptionReplayBuffer"):
-                each.learn(10, callback=IntrinsicRewardCallback())
+        with pytest.raises(TypeError, match="has no buffer which a bonus could be added to"):
+            MacroQ(optioned_rooms(), gamma=0.9).learn(10, callback=IntrinsicRewardCallback())
+
+    def test_replay_in_an_environment_without_options(self) -> None:
+        with pytest.raises(ValueError, match="wrap the environment in OptionsWrapper"):
+            DQN("MlpPolicy", small_rooms(), gamma=0.9, buffer_size=50).learn(10, callback=IntrinsicRewardCallback())
 
     def test_a_buffer_without_the_steps_inside_options(self) -> None:
         model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_kwargs={"macro_q": False})
