@@ -1,4 +1,4 @@
-"""`IntrinsicRewardCallback`: a bonus for what is new, added where advantages and targets are computed."""
+"""`IntrinsicRewardCallback`: a bonus for what is new, added where advantages are computed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from sb3_options.experience.observations import (
     take,
 )
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.families import family_of
 from sb3_options.learning.novelty import (
     NoveltyKind,
     RandomNetworkDistillation,
@@ -35,7 +34,6 @@ from sb3_options.learning.novelty import (
     bin_widths,
     is_table_like,
 )
-from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import add_bonuses
 
 
@@ -46,11 +44,9 @@ class IntrinsicRewardCallback(BaseCallback):
     (`ReturnScale`), so that w, the ``weight``, means the same for every kind of bonus. An option of k primitive steps
     gets Σ γⁱ bᵢ over all of them, also those inside.
 
-    Advantages and returns of PPO, A2C and the other algorithms with rollouts are those of rewards with the bonus
-    (`add_bonuses`). DQN and the other algorithms with an `OptionReplayBuffer` get it when they sample a batch, as it is
-    by then: what was new when it was stored may be well known. Environments, monitors and evaluations see the rewards
-    of the task alone. It works beside `SubgoalDiscoveryCallback` or `PrimitiveStepsCallback`, in any order, and with
-    rollouts also without options.
+    It is for PPO, A2C and the other algorithms with rollouts: advantages and returns include the bonus (`add_bonuses`).
+    Environments, monitors and evaluations see the rewards of the task alone. It works beside `SubgoalDiscoveryCallback`
+    or `PrimitiveStepsCallback`, in any order, and also without options.
 
     There is one value function for both rewards, so a bonus ends with the episode, which that of Burda et al. (2018)
     does not.
@@ -69,7 +65,7 @@ class IntrinsicRewardCallback(BaseCallback):
     Raises:
         ValueError: An argument is out of its range; or, when training starts, there is nothing that can be counted, or
             γ is 1.
-        TypeError: When training starts, the algorithm has no buffer that a bonus could be added to.
+        TypeError: When training starts, the algorithm has no rollouts.
     """
 
     STATE = ("novelty", "scale", "_bonus_weight")
@@ -87,25 +83,16 @@ class IntrinsicRewardCallback(BaseCallback):
         self.scale: ReturnScale | None = None
         self._sums: list[list[float]] = []
         self._bonus_weight = 0.0
-        self._replay: OptionReplayBuffer | None = None
 
     def _on_training_start(self) -> None:
         check_every_step(self)
         gamma: float = self.model.gamma  # type: ignore[attr-defined]  # every algorithm has it
         if gamma >= 1.0:
             raise ValueError(f"A bonus needs gamma below 1, or its return has no bound, got gamma={gamma}.")
-        family = family_of(self.model)
-        family.prepare_buffer()
-        self._replay = family.replay_buffer
-        if not isinstance(getattr(self.model, "rollout_buffer", self._replay), RolloutBuffer | OptionReplayBuffer):
+        if not isinstance(getattr(self.model, "rollout_buffer", None), RolloutBuffer):
             raise TypeError(
-                f"{type(self.model).__name__} has no buffer which a bonus could be added to: IntrinsicRewardCallback "
-                "is for PPO, A2C, DQN and the like."
-            )
-        if self._replay is not None and not self._replay.macro_q:
-            raise ValueError(
-                "The bonus of an option is that of the primitive steps inside it, which a replay buffer with "
-                "macro_q=False does not store: leave out replay_buffer_kwargs={'macro_q': False}."
+                f"IntrinsicRewardCallback is for algorithms with rollouts, such as PPO and A2C: "
+                f"{type(self.model).__name__} has none."
             )
         n_envs = self.training_env.num_envs
         self.scale = self.scale or ReturnScale(gamma, n_envs)
@@ -137,9 +124,6 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self._sums.clear()
-        if self._replay is not None:
-            # Nothing is sampled in a rollout; what an exception ends there leaves the buffer as it was.
-            self._replay.bonus = None
 
     def _on_step(self) -> bool:
         assert self.novelty is not None  # made when training started
@@ -158,22 +142,8 @@ class IntrinsicRewardCallback(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        if self._replay is not None:
-            self._replay.bonus = self._bonus_now
-        else:
-            buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
-            add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
-
-    def _on_training_end(self) -> None:
-        if self._replay is not None:
-            self._replay.bonus = None
-
-    def _bonus_now(self, observations: Observations) -> FloatArray:
-        """The present bonus of observations as a replay buffer stores them: not normalised."""
-        assert self.novelty is not None  # made when training started
-        normalizer = self.model.get_vec_normalize_env()
-        venv = self.training_env if normalizer is None else normalizer.venv
-        return self._bonus_weight * self.novelty.of(as_wrapper_sees(venv, observations))
+        buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
+        add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
 
     def _last_observations(self) -> list[Observations]:
         """Where each environment arrived, as it gave it itself: a batch of one each."""

@@ -24,4 +24,4 @@ def has_arm(algo: str, arm: Arm) -> bool:
     """Whether there is such an arm of an algorithm."""
     if arm in N_STEP:
         return not algo.startswith("ppo")
-    return not (arm in BONUS and arm in STOCK) or algo.startswith("ppo")  # bonuses need a replay buffer of ours
+    return arm not in BONUS or algo.startswith("ppo")  # bonuses need rollouts

@@ -116,7 +116,7 @@ class Diary:
             )
             if self.terminated and self.lowest < self.highest and not self.reported:
                 return why + 'Say what counts as a success: success="terminated", or success="return:NUMBER".'
-            return why + 'Train for longer, or add an exploration bonus: IntrinsicRewardCallback("rnd").'
+            return why + 'Train for longer, or add an exploration bonus, to PPO or A2C: IntrinsicRewardCallback("rnd").'
         if self.n_withdrawn:
             return "no saved trajectory leads to the subgoal reliably enough. Train for longer, or lower min_reach."
         return method.why_nothing(self)

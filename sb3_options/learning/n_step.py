@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 Indices = npt.NDArray[np.int64]
 
-Column: TypeAlias = Callable[[Indices], npt.NDArray[np.float32]]
-"""Some rows of a replay buffer, (batch,) → a number of each."""
+Column = npt.NDArray[np.float32]
+"""A number for each row of a replay buffer."""
 
 END = -1  # nothing is stored that follows: the episode ended, or the newest decision
 
@@ -76,13 +75,13 @@ class Successors:
         self.following[: len(state["following"])] = state["following"]
         self._newest = state["newest"]
 
-    def returns(self, rows: Indices, n: int, rewards_of: Column, discounts: npt.NDArray[np.float32]) -> NStepReturns:
-        """The n-step returns from some rows, (batch,), given the γᵏ of all rows of the buffer."""
-        last, total, discount = rows, rewards_of(rows), discounts[rows]
+    def returns(self, rows: Indices, n: int, rewards: Column, discounts: Column) -> NStepReturns:
+        """The n-step returns from some rows, (batch,), given the rewards and the γᵏ of all rows of the buffer."""
+        last, total, discount = rows, rewards[rows], discounts[rows]
         for _ in range(n - 1):
             following = self.following[last]
             goes_on = following != END
             last = np.where(goes_on, following, last)
-            total = total + np.where(goes_on, discount * rewards_of(last), np.float32(0))
+            total = total + np.where(goes_on, discount * rewards[last], np.float32(0))
             discount = np.where(goes_on, discount * discounts[last], discount)
         return NStepReturns(last, total, discount)

@@ -64,11 +64,6 @@ class StateCounts:
             counts[i] = self.visits[key] = self.visits.get(key, 0) + 1
         return 1.0 / np.sqrt(counts)
 
-    def of(self, observations: Observations) -> FloatArray:
-        """1 / √N, (batch,), without counting a visit; 1 for a state that was never visited."""
-        counts = [self.visits.get(key, 1) for key in self.keys(observations)]
-        return 1.0 / np.sqrt(np.array(counts, dtype=np.float64))
-
     def records(self) -> dict[str, float]:
         """How many different states were visited."""
         return {"states": float(len(self.visits))}
@@ -112,16 +107,14 @@ class RandomNetworkDistillation:
         rows = flatten(observations)
         self.statistics.update(rows)
         normalized = self._normalized(rows)
-        errors = self._errors(normalized)
+        with torch.no_grad():
+            errors = (self.predictor(normalized) - self.target(normalized)).square().mean(dim=1)
         self._visited.append(normalized)
         if sum(map(len, self._visited)) >= BATCH:
             self._learn(torch.cat(self._visited))
             self._visited.clear()
-        return errors
-
-    def of(self, observations: Observations) -> FloatArray:
-        """The present error, (batch,), without a visit."""
-        return self._errors(self._normalized(flatten(observations)))
+        novelty: FloatArray = errors.numpy().astype(np.float64)
+        return novelty
 
     def records(self) -> dict[str, float]:
         """The predictor's last loss; nothing before the first."""
@@ -130,12 +123,6 @@ class RandomNetworkDistillation:
     def _normalized(self, rows: FloatArray) -> torch.Tensor:
         scaled = (rows - self.statistics.mean) / np.sqrt(self.statistics.var + SMALLEST)
         return torch.as_tensor(np.clip(scaled, -CLIP, CLIP), dtype=torch.float32)
-
-    def _errors(self, normalized: torch.Tensor) -> FloatArray:
-        with torch.no_grad():
-            squares = (self.predictor(normalized) - self.target(normalized)).square().mean(dim=1)
-        errors: FloatArray = squares.numpy().astype(np.float64)
-        return errors
 
     def _learn(self, normalized: torch.Tensor) -> None:
         loss = functional.mse_loss(self.predictor(normalized), self.target(normalized))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Self, TypeAlias, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -15,17 +14,14 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.checked import whole
-from sb3_options.experience.observations import BoolArray, FloatArray, Observations, take
+from sb3_options.experience.observations import BoolArray, Observations, take
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.n_step import Column, Indices, NStepReturns, Successors
+from sb3_options.learning.n_step import Successors
 
 NO_ROWS: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
 Rows = dict[str, npt.NDArray[Any]]
 """Observations by key; of a space that is no ``Dict`` the key is empty."""
-
-Bonus: TypeAlias = Callable[[Observations], FloatArray]
-"""Observations as the VecEnv gave them, (batch, ...) → the present bonus of having arrived there, (batch,)."""
 
 
 class OptionReplayBufferSamples(NamedTuple):
@@ -77,9 +73,6 @@ class OptionReplayBuffer(ReplayBuffer):
 
     The rows of all environments are stored in one sequence, because their options take different numbers of steps.
 
-    With a `bonus` sampled rewards have it added, as it is by then. The row of an option is worth Σ γⁱ bᵢ over the steps
-    inside it, which Macro-Q has stored in the rows behind it.
-
     Args:
         buffer_size: Most transitions it holds.
         observation_space: Also ``Dict``.
@@ -91,9 +84,6 @@ class OptionReplayBuffer(ReplayBuffer):
         macro_q: Whether the steps inside options are stored.
         n_steps: Decisions of an n-step return, each with its own γᵏ. Steps inside options count as one each.
         gamma: Unused, as for SB3's ``NStepReplayBuffer``: every transition has its own discount.
-
-    Attributes:
-        bonus: For arriving in an observation, as long as there is one; not pickled.
 
     Raises:
         ValueError: ``optimize_memory_usage`` is set, or ``n_steps`` is no whole number of at least 1.
@@ -126,8 +116,6 @@ class OptionReplayBuffer(ReplayBuffer):
         self.macro_q = macro_q
         self.n_steps = n_steps
         self._successors = Successors(buffer_size, n_envs) if n_steps > 1 else None
-        self.bonus: Bonus | None = None
-        self.inner_steps = np.zeros(buffer_size, dtype=np.int64)  # how many rows behind each are the steps inside it
         self.written = 0
         self.copies = 0
         self._spaces = (
@@ -176,10 +164,7 @@ class OptionReplayBuffer(ReplayBuffer):
 
     def next_observations_stored(self) -> Observations:
         """The next observations of all stored transitions, as the VecEnv gave them, row by row."""
-        return self._arrived_in(np.s_[: self.size()])
-
-    def _arrived_in(self, rows: slice | npt.NDArray[Any]) -> Observations:
-        taken = {k: v[rows] for k, v in self._next_observations.items()}
+        taken = {k: v[: self.size()] for k, v in self._next_observations.items()}
         given = {k: v.reshape(len(v), *(self._spaces[k].shape or ())) for k, v in taken.items()}
         return given.get("", given)
 
@@ -247,7 +232,6 @@ class OptionReplayBuffer(ReplayBuffer):
             self._write(here, there, chosen[None], reward[this], done[this], timeout, run.discount, last)
             if self.macro_q and run.index >= 0 and run.actions is not None:
                 inner = (self.pos + np.arange(run.duration)) % self.buffer_size
-                self.inner_steps[decision] = run.duration
                 self._write_inner(run, there, bool(done[i]), timeout)
             if self._successors is not None:
                 self._successors.add(i, decision, inner, follows=follows, done=bool(done[i]))
@@ -307,7 +291,6 @@ class OptionReplayBuffer(ReplayBuffer):
         if self.handle_timeout_termination:
             self.timeouts[rows] = timeouts
         self.discounts[rows] = discounts
-        self.inner_steps[rows] = 0
         if self.tracks_availability:
             self.next_available[rows] = False if available is None else available
         self.written += n
@@ -324,10 +307,10 @@ class OptionReplayBuffer(ReplayBuffer):
             seen: Any = self._normalize_obs(cast("Any", take(stored.get("", stored), rows)), env)
             return {k: self.to_torch(v) for k, v in seen.items()} if isinstance(seen, dict) else self.to_torch(seen)
 
-        last, rewards, discounts = self._returns(batch_inds, self.rewards.__getitem__)
+        last, rewards, discounts = batch_inds, self.rewards[batch_inds], self.discounts[batch_inds]
+        if self._successors is not None:
+            last, rewards, discounts = self._successors.returns(batch_inds, self.n_steps, self.rewards, self.discounts)
         rewards = self._normalize_reward(rewards.reshape(-1, 1), env)
-        if self.bonus is not None:
-            rewards += self._returns(batch_inds, self._bonuses).rewards[:, None]
         dones = self.dones[last] * (1 - self.timeouts[last])
         samples = OptionReplayBufferSamples(
             observations=tensors(self._observations, batch_inds),
@@ -340,25 +323,6 @@ class OptionReplayBuffer(ReplayBuffer):
         )
         return cast("ReplayBufferSamples", samples)
 
-    def _returns(self, rows: Indices, rewards_of: Column) -> NStepReturns:
-        if self._successors is None:
-            return NStepReturns(rows, rewards_of(rows), self.discounts[rows])
-        return self._successors.returns(rows, self.n_steps, rewards_of, self.discounts)
-
-    def _bonuses(self, rows: Indices) -> npt.NDArray[np.float32]:
-        """Σ γⁱ bᵢ over the primitive steps of each row."""
-        assert self.bonus is not None  # or it is not asked
-        inner_steps = self.inner_steps[rows]
-        steps = np.maximum(inner_steps, 1)
-        which = np.repeat(np.arange(len(rows)), steps)
-        i = np.arange(len(which)) - np.repeat(np.cumsum(steps) - steps, steps)
-        primitive = (np.repeat(rows + (inner_steps > 0), steps) + i) % self.buffer_size
-        discounted = self.discounts[primitive].astype(np.float64) ** i * self.bonus(self._arrived_in(primitive))
-        return np.bincount(which, weights=discounted, minlength=len(rows)).astype(np.float32)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "bonus": None}
-
     def _split(self, observations: Any) -> Rows:
         rows = observations if isinstance(observations, dict) else {"": observations}
         # A Discrete observation is a scalar to the environment and a vector of one to SB3.
@@ -368,7 +332,7 @@ class OptionReplayBuffer(ReplayBuffer):
         """Every array with one row per transition."""
         columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
         observations = [*self._observations.values(), *self._next_observations.values()]
-        return [*columns, self.inner_steps, *observations]
+        return [*columns, *observations]
 
     def growing(self) -> list[Growing]:
         """The observations, most of the memory: a checkpoint reads only the new ones."""

@@ -10,47 +10,38 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from sb3_contrib import QRDQN, TRPO, MaskablePPO, RecurrentPPO
-from stable_baselines3 import A2C, DQN, PPO
+from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
+from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options import OptionDQN, OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback
 from sb3_options.learning.novelty import StateCounts, bin_widths
 from tests.learning.test_replay_buffer import optioned, place_in
 from tests.learning.test_rollout_buffer import GAMMA, LAMBDA, make
 from tests.support.helpers import DictEnv, steady_option
-from tests.support.sb3_helpers import Corridor, StepLog, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import Corridor, StepLog, optioned_rooms
 
 WEIGHT = 0.5
 
 
-class Decisions(BaseCallback):
-    """Keeps of every step how long each environment's action took, whether it was an option, and what ended."""
+class Rollout(BaseCallback):
+    """Keeps the first rollout, as it is when this is called, and of every step how long each action took."""
 
     def __init__(self) -> None:
         super().__init__()
+        self.kept: Any = None
         self.durations: list[list[int]] = []
-        self.is_option: list[list[bool]] = []
         self.dones: list[Any] = []
 
     def _on_step(self) -> bool:
-        runs = [info.get("option", {"duration": 1, "index": -1}) for info in self.locals["infos"]]
-        self.durations.append([run["duration"] for run in runs])
-        self.is_option.append([run["index"] >= 0 for run in runs])
-        self.dones.append(self.locals["dones"].copy())
-        return True
-
-
-class Rollout(Decisions):
-    """Keeps the first rollout too, as it is when this is called."""
-
-    kept: Any = None
-
-    def _on_step(self) -> bool:
-        return self.kept is None and super()._on_step()
+        if self.kept is None:
+            infos = self.locals["infos"]
+            self.durations.append([info.get("option", {"duration": 1})["duration"] for info in infos])
+            self.dones.append(self.locals["dones"].copy())
+        return self.kept is None
 
     def _on_rollout_end(self) -> None:
         buffer: Any = self.model.rollout_buffer  # type: ignore[attr-defined]  # of on-policy algorithms
@@ -136,90 +127,23 @@ def test_advantages_are_those_of_rewards_with_the_bonus(algorithm: Any, options:
     assert model.gae_lambda == LAMBDA
 
 
-class Batch(BaseCallback):
-    """Samples all rows once at step ``at``, with the bonus and without, and keeps what it added."""
-
-    def __init__(self, at: int) -> None:
-        super().__init__()
-        self.at = at
-
-    def _on_step(self) -> bool:
-        return not hasattr(self, "added")
-
-    def _on_rollout_end(self) -> None:
-        if self.num_timesteps < self.at or hasattr(self, "added"):
-            return
-        buffer: Any = self.model.replay_buffer  # type: ignore[attr-defined]  # of off-policy algorithms
-        rows = np.arange(buffer.size())
-        normalizer = self.model.get_vec_normalize_env()
-        samples = buffer._get_samples(rows, normalizer)
-        buffer.bonus = None
-        plain = buffer._get_samples(rows, normalizer)
-        self.added = (samples.rewards - plain.rewards).numpy()[:, 0]
-
-
-@pytest.mark.parametrize("normalized", [True, False])
-@pytest.mark.parametrize("algorithm", [OptionDQN, DQN, QRDQN])
-def test_a_replay_buffer_is_relabelled_with_the_counts_of_now(algorithm: Any, normalized: bool) -> None:
-    venv, logs = logged(2, options=True)
-    env: Any = VecNormalize(venv, gamma=GAMMA, clip_reward=np.inf) if normalized else venv
-    model = algorithm(
-        "MlpPolicy", env, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, learning_starts=50, train_freq=4,
-        replay_buffer_kwargs={"n_steps": 1},
-        exploration_fraction=1.0, policy_kwargs={"net_arch": [8]}, buffer_size=5000, seed=0,
-    )  # fmt: skip
-    bonus = IntrinsicRewardCallback(weight=WEIGHT)
-    batch, kept = Batch(300), Decisions()
-    model.learn(400, callback=CallbackList([kept, PrimitiveStepsCallback(), bonus, batch]))
-    steps = kept.durations[:-1]  # the last one ended training after the batch
-    visits: Counter[Any] = Counter()
-    rows: list[list[Any]] = []
-    at = [0, 0]
-    for t, of_step in enumerate(steps):
-        for env, k in enumerate(of_step):
-            run = logs[env].log[at[env] : at[env] + k]
-            at[env] += k
-            assert bool(kept.dones[t][env]) == (run[-1].terminated or run[-1].truncated)
-            visits.update(place(step) for step in run)
-            rows += [run, *([step] for step in run if kept.is_option[t][env])]
-    weight = WEIGHT / std_of_returns(counted(steps, [env.log for env in logs]))
-    expected = [sum(GAMMA**i / math.sqrt(visits[place(step)]) for i, step in enumerate(run)) for run in rows]
-    assert max(map(len, rows)) > 3
-    np.testing.assert_allclose(batch.added, weight * np.array(expected), rtol=1e-3, atol=1e-5)
-
-
 def visits_of(bonus: IntrinsicRewardCallback) -> dict[bytes, int]:
     assert isinstance(bonus.novelty, StateCounts)
     return bonus.novelty.visits
 
 
-@pytest.mark.parametrize("algorithm", [PPO, DQN])
 @pytest.mark.parametrize("kind", ["box", "discrete", "dict", "dict_discrete", "image"])
-def test_every_kind_of_observation_is_counted_as_the_environment_gave_it(
-    kind: str, algorithm: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = 0
-
-    def of_known_states(self: StateCounts, observations: Any) -> Any:
-        nonlocal asked
-        counts = np.array([self.visits[key] for key in self.keys(observations)])
-        asked += len(counts)
-        return 1.0 / np.sqrt(counts)
-
-    monkeypatch.setattr(StateCounts, "of", of_known_states)
+def test_every_kind_of_observation_is_counted_as_the_environment_gave_it(kind: str) -> None:
     venv = DummyVecEnv([lambda: optioned(kind)] * 2)
     policy = "MultiInputPolicy" if kind.startswith("dict") else "MlpPolicy"
-    own: dict[str, Any] = {"n_steps": 32, "batch_size": 64, "n_epochs": 1}
-    if algorithm is DQN:
-        own = {"learning_starts": 20, "exploration_fraction": 1.0, "batch_size": 8, "buffer_size": 1000}
-        own |= {"replay_buffer_class": OptionReplayBuffer}
-    model = algorithm(policy, venv, gamma=GAMMA, policy_kwargs={"net_arch": [8]}, seed=0, **own)
+    model = PPO(
+        policy, venv, gamma=GAMMA, policy_kwargs={"net_arch": [8]}, seed=0, n_steps=32, batch_size=64, n_epochs=1
+    )
     bonus = IntrinsicRewardCallback()
     model.learn(160, callback=[bonus, PrimitiveStepsCallback()])
     logs = [step for i in range(2) for step in venv.get_attr("log")[i]]
     expected = Counter(place_in(step.next_state) for step in logs)
     assert sorted(visits_of(bonus).values()) == sorted(expected.values())
-    assert (asked > 100) == (algorithm is DQN)
 
 
 def test_what_vec_wrappers_do_to_observations_is_undone() -> None:
@@ -257,13 +181,9 @@ def test_without_weight_nothing_changes() -> None:
     assert torch.equal(weights[0], weights[2])
 
 
-@pytest.mark.parametrize("algorithm", [PPO, DQN])
 @pytest.mark.parametrize("kind", ["counts", "rnd"])
-def test_logs_and_goes_on(kind: Any, algorithm: Any, tmp_path: Path) -> None:
-    own: dict[str, Any] = {"n_steps": 64}
-    if algorithm is DQN:
-        own = {"learning_starts": 10, "replay_buffer_class": OptionReplayBuffer}
-    model = algorithm("MlpPolicy", optioned_rooms(1), gamma=0.9, seed=0, tensorboard_log=str(tmp_path), **own)
+def test_logs_and_goes_on(kind: Any, tmp_path: Path) -> None:
+    model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, seed=0, tensorboard_log=str(tmp_path), n_steps=64)
     bonus = IntrinsicRewardCallback(kind)
     model.learn(640, callback=bonus)
     before = bonus.novelty
@@ -299,15 +219,6 @@ class TestErrors:
         with pytest.raises(ValueError, match=r"nothing to count in Dict.*pass OptionsWrapper\(feature_map"):
             model.learn(16, callback=IntrinsicRewardCallback())
 
-    def test_an_algorithm_without_a_buffer(self) -> None:
-        with pytest.raises(TypeError, match="has no buffer which a bonus could be added to"):
-            MacroQ(optioned_rooms(), gamma=0.9).learn(10, callback=IntrinsicRewardCallback())
-
-    def test_replay_in_an_environment_without_options(self) -> None:
-        with pytest.raises(ValueError, match="wrap the environment in OptionsWrapper"):
-            DQN("MlpPolicy", small_rooms(), gamma=0.9, buffer_size=50).learn(10, callback=IntrinsicRewardCallback())
-
-    def test_a_buffer_without_the_steps_inside_options(self) -> None:
-        model = OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.9, replay_buffer_kwargs={"macro_q": False})
-        with pytest.raises(ValueError, match=r"macro_q=False does not store: leave out replay_buffer_kwargs"):
-            model.learn(10, callback=[PrimitiveStepsCallback(), IntrinsicRewardCallback()])
+    def test_an_algorithm_without_rollouts(self) -> None:
+        with pytest.raises(TypeError, match="for algorithms with rollouts, such as PPO and A2C: OptionDQN has none"):
+            OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.9).learn(10, callback=IntrinsicRewardCallback())

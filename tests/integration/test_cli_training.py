@@ -112,11 +112,10 @@ class TestTrain:
         assert all((folder / name).is_file() for name in ("model.zip", "options.safetensors", "config.yml"))
 
 
-@pytest.mark.parametrize(("algo", "bonus"), [("optiondqn", "rnd"), ("maskableppo", "counts")])
-def test_an_intrinsic_reward(algo: str, bonus: str, tmp_path: Path) -> None:
-    args = [algo, "--bonus", bonus, "--n-timesteps", "1500", "--max-options", "1", "--no-progress"]
+def test_an_intrinsic_reward(tmp_path: Path) -> None:
+    args = ["maskableppo", "--bonus", "counts", "--n-timesteps", "1500", "--max-options", "1", "--no-progress"]
     folder = train(parse([*args, "--env-kwargs", "max_steps:100", "--tensorboard-log", str(tmp_path)]))
-    assert configs.load(folder / "config.yml").bonus == bonus
+    assert configs.load(folder / "config.yml").bonus == "counts"
     (events,) = folder.rglob("events*")
     scalars = EventAccumulator(str(events))
     scalars.Reload()

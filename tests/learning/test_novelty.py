@@ -21,16 +21,14 @@ def test_one_over_the_root_of_visits() -> None:
     counts = StateCounts(flatten)
     np.testing.assert_allclose(counts.visit(np.array([3, 1, 3])), [1.0, 1.0, 2**-0.5])
     np.testing.assert_allclose(counts.visit(np.array([3])), [3**-0.5])
-    np.testing.assert_allclose(counts.of(np.array([1, 3, 4])), [1.0, 3**-0.5, 1.0])
-    np.testing.assert_allclose(counts.of(np.array([4])), [1.0])  # asking is no visit
     assert counts.records() == {"states": 2.0}
 
 
 def test_bins_are_around_whole_multiples() -> None:
     counts = StateCounts(flatten, 0.5)
     counts.visit(np.array([[1.0, 2.0], [1.24, 1.76], [1.26, 2.0]]))
-    np.testing.assert_allclose(counts.of(np.array([[1.1, 2.1], [1.5, 2.0], [2.0, 2.0]])), [2**-0.5, 1.0, 1.0])
-    assert len(counts.visits) == 2
+    np.testing.assert_allclose(counts.visit(np.array([[1.1, 2.1], [1.5, 2.0], [2.0, 2.0]])), [3**-0.5, 2**-0.5, 1.0])
+    assert len(counts.visits) == 3
 
 
 @pytest.mark.parametrize(
@@ -65,19 +63,22 @@ def test_the_error_falls_where_the_predictor_has_been() -> None:
     first = rnd.visit(known[0])
     for batch in known[1:]:
         rnd.visit(batch)
-    assert rnd.of(np.eye(8)[:4]).mean() < 0.1 * first.mean()
-    assert rnd.of(np.eye(8)[:4]).max() < 0.1 * rnd.of(new).min()
+    later = rnd.visit(np.eye(8)[:4])
+    assert later.mean() < 0.1 * first.mean()
+    assert later.max() < 0.1 * rnd.visit(new).min()
     assert rnd.records()["loss"] < 0.1 * first.mean()
 
 
 def test_the_error_is_of_normalised_and_clipped_features() -> None:
     rnd = RandomNetworkDistillation(2)
     seen = np.random.default_rng(0).normal([100.0, -3.0], [10.0, 0.1], size=(50, 2))
-    rnd.visit(seen)
-    rows = torch.tensor(np.clip((np.array([[110.0, 7.0]]) - seen.mean(axis=0)) / seen.std(axis=0), -5, 5)).float()
+    row = np.array([[110.0, 7.0]])
+    every = np.concatenate([seen, row])
+    normalized = torch.tensor(np.clip((row - every.mean(axis=0)) / every.std(axis=0), -5, 5)).float()
     with torch.no_grad():
-        error = (rnd.predictor(rows) - rnd.target(rows)).square().mean()
-    np.testing.assert_allclose(rnd.of(np.array([[110.0, 7.0]])), error, rtol=1e-3)
+        error = (rnd.predictor(normalized) - rnd.target(normalized)).square().mean()
+    rnd.visit(seen)
+    np.testing.assert_allclose(rnd.visit(row), error, rtol=1e-3)
 
 
 def test_networks_come_from_their_seed_and_draw_nothing_else() -> None:
@@ -87,8 +88,9 @@ def test_networks_come_from_their_seed_and_draw_nothing_else() -> None:
     one, same, other = (RandomNetworkDistillation(3, seed=seed) for seed in (1, 1, 2))
     assert torch.equal(torch.rand(3), expected)
     rows = np.random.default_rng(0).normal(size=(4, 3))
-    np.testing.assert_array_equal(one.of(rows), same.of(rows))
-    assert (one.of(rows) != other.of(rows)).all()
+    expected_errors = one.visit(rows)
+    np.testing.assert_array_equal(expected_errors, same.visit(rows))
+    assert (expected_errors != other.visit(rows)).all()
 
 
 def test_the_return_goes_on_across_episodes_and_is_of_primitive_steps() -> None:
