@@ -11,12 +11,11 @@ from typing import Any
 
 from sb3_options.callbacks.checks import check_training
 from sb3_options.callbacks.installer import OptionInstaller
-from sb3_options.callbacks.keeper import OptionKeeper
+from sb3_options.callbacks.keeper import ClosedOption, OptionKeeper
 from sb3_options.callbacks.learned_features import check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
-from sb3_options.callbacks.records import ClosedOption
 from sb3_options.callbacks.settings import ConceptSettings, OptionUse
-from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_results, save_or_warn
+from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_run, log_settings, save_or_warn
 from sb3_options.callbacks.usefulness import Verdict
 from sb3_options.checked import given_as, whole
 from sb3_options.density.groups import FeatureGroup, checked_groups
@@ -171,7 +170,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         goes_on = self._count(runs)
         for env, (info, run) in enumerate(zip(infos, runs, strict=True)):
             if run.index >= 0:
-                self._keeper.statistics.add(run)
+                log_run(self.logger, run)
             if "trajectory" in info:
                 self._episode_ended(info.pop("trajectory"), info, env, run)
             elif run.inside:
@@ -247,9 +246,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.draw()
         if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:
             print(why)
-        log_results(self.logger, self.hparams or self._own_settings(), self.history, self.num_timesteps)
-        if self.logger.name_to_value:  # an empty dump warns
-            self.logger.dump(self.num_timesteps)
+        self.logger.record("time/primitive_steps", self.num_timesteps)
+        log_settings(self.logger, self.hparams or self._own_settings())
+        self.logger.dump(self.num_timesteps)
 
     def _own_settings(self) -> dict[str, Any]:
         discovery, option = dataclasses.asdict(self.settings), dataclasses.asdict(self.option_settings)

@@ -1,32 +1,74 @@
-"""`OptionKeeper`: makes options of subgoals, learns them further, and closes them."""
+"""`OptionKeeper`: makes options of subgoals, learns them further, and closes them; records of both."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.learned_features import LearnedFeatures
-from sb3_options.callbacks.records import ClosedOption, DiscoveredOption, OptionStatistics
 from sb3_options.callbacks.usefulness import Usefulness, Verdict
 from sb3_options.density.regions import Region
 from sb3_options.discovery.discovery import Discovery
+from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.creation import OptionGrowth, joined, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import PolicyInput
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
+from sb3_options.state import storable
+
+
+@storable
+@dataclass(frozen=True)
+class DiscoveredOption:
+    """When and where an option was made.
+
+    Attributes:
+        slot: Its slot.
+        episode: Number of episodes, or of segments between peaks of reward, that had ended.
+        timestep: Primitive steps taken.
+        subgoal: The subgoal's centre in concept space, shape (d,).
+        where: The same for people: ``state 57`` of a discrete space, else coordinates.
+        log_density: Best log diverse density of the search that completed it; NaN where another method found it.
+        initiation_states: Size of its initiation set.
+    """
+
+    slot: int
+    episode: int
+    timestep: int
+    subgoal: FloatArray
+    where: str
+    log_density: float
+    initiation_states: int
+
+
+@storable
+@dataclass(frozen=True)
+class ClosedOption:
+    """When and why an option was closed.
+
+    Attributes:
+        slot: Its slot, which another may fill.
+        episode: Number of episodes that had ended.
+        timestep: Primitive steps taken.
+        why: What it does.
+    """
+
+    slot: int
+    episode: int
+    timestep: int
+    why: Verdict
 
 
 class OptionKeeper:
     """The options that a training makes, with all that is known of them by slot."""
 
-    STATE: ClassVar[tuple[str, ...]] = (
-        "discoveries", "closed", "made", "generator", "statistics", "useful", "growth", "features",
-    )  # fmt: skip
+    STATE: ClassVar[tuple[str, ...]] = ("discoveries", "closed", "made", "generator", "useful", "growth", "features")
 
     options: OptionInstaller
     search: Discovery
@@ -38,7 +80,6 @@ class OptionKeeper:
         self.closed: list[ClosedOption] = []
         self.made: set[int] = set()
         self.generator = torch.Generator().manual_seed(seed)
-        self.statistics = OptionStatistics()
         self.useful = Usefulness(usefulness)
         self.growth = OptionGrowth()
         self.features: LearnedFeatures | None = None
@@ -101,8 +142,7 @@ class OptionKeeper:
         slot = self.options.bank.slots.index(None)
         self.options.install(slot, option)
         self._remember(slot, option)
-        self.statistics.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
-        self.useful.forget(slot)
+        self.useful.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
         self.made.add(slot)
         self.growth.made(slot, subgoal, self.search.database)
         n_states = len(option.initiation_set.points)
@@ -140,7 +180,7 @@ class OptionKeeper:
         slot = closed.slot
         self.options.uninstall(slot)
         self.made.discard(slot)
-        for of_slots in (self.features, self.statistics, self.useful, self.growth):
+        for of_slots in (self.features, self.useful, self.growth):
             if of_slots is not None:
                 of_slots.forget(slot)
         self.closed.append(closed)

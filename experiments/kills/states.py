@@ -16,7 +16,7 @@ OF_THE_CLOCK = frozenset(
         "episode_times",
         "time/fps",
         "time/time_elapsed",
-        "discovery/seconds",
+        "search/seconds",
         "event_files",
         "bytes",
     )

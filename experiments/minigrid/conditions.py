@@ -19,8 +19,12 @@ from experiments.minigrid.agents import Chooser, Notes, learned, model_of, norma
 from experiments.minigrid.hand_made import MadeBy, options_on, to_subgoals_on
 from experiments.minigrid.random_grouped import RandomGrouped
 from experiments.minigrid.settings import FAMILIES, WITH_OPTIONS, ZOO_ARM, Arm, Stage, zoo_settings
-from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.callbacks.records import DiscoveredOption
+from sb3_options.callbacks import (
+    DiscoveredOption,
+    IntrinsicRewardCallback,
+    PrimitiveStepsCallback,
+    SubgoalDiscoveryCallback,
+)
 
 Judged = Literal["sampled", "greedy", "uniform"]
 JUDGED: tuple[Judged, ...] = get_args(Judged)

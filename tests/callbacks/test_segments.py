@@ -55,7 +55,7 @@ def test_the_log_is_written_though_no_episode_ends(tmp_path: Path) -> None:
     learned(make_endless_rooms(), tensorboard_log=str(tmp_path))
     scalars = EventAccumulator(str(tmp_path / "DQN_1"))
     scalars.Reload()
-    steps = [event.step for event in scalars.Scalars("options/count")]
+    steps = [event.step for event in scalars.Scalars("slots/filled")]
     assert len(steps) > 3
     assert steps == sorted(steps)
-    assert scalars.Scalars("options/count")[-1].value == 1
+    assert scalars.Scalars("slots/filled")[-1].value == 1

@@ -45,9 +45,9 @@ CHECKS = {
     "docs/guide/tracking.md": """
 from pathlib import Path
 (kept,) = Path("wandb").glob("offline-run-*/*.wandb")
-assert b"discovery/leading_average" in kept.read_bytes()
+assert b"search/leading_average" in kept.read_bytes()
 (of_mlflow,) = mlflow.search_runs(output_format="list")
-assert of_mlflow.data.metrics["at_end/return"] >= 0.0
+assert of_mlflow.data.metrics["time/primitive_steps"] >= 1_500
 assert of_mlflow.data.params["algo"] == "DQN"
 """,
     "docs/guide/trained-models.md": "assert (model.num_timesteps, model.action_space.n) == (500, 8)",

@@ -78,8 +78,7 @@ def test_a_resumed_run_is_the_run_that_was_not_cut_off(run: Path, before_the_las
     steps = [[step for step, _ in of_tag] for of_tag in points.values()]
     steps += [[step for step, _ in of_tag] for of_tag in told.values()]
     assert all(len(set(of_tag)) == len(of_tag) for of_tag in steps), "doubled points"
-    (results,) = (name.rpartition("/at_end")[0] for name in points if name.endswith("at_end/success_rate"))
-    assert f"{results}/_hparams_/session_start_info" in told
+    assert any(name.endswith("/_hparams_/session_start_info") for name in told)
     assert (copy / runs.SUBGOALS).is_file()
 
 

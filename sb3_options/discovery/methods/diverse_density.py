@@ -207,8 +207,8 @@ class PersistentPeaks(Method):
 
     def values(self) -> dict[str, float]:
         """What is logged of it, by tag."""
-        values = {"discovery/leading_average": self.tracker.leading_average()}
-        return values | ({"discovery/best_log_density": self.peaks[0].log_density} if self.peaks else {})
+        values = {"search/leading_average": self.tracker.leading_average()}
+        return values | ({"search/best_log_density": self.peaks[0].log_density} if self.peaks else {})
 
     def why_nothing(self, diary: Diary, n_positive: int | None = None) -> str:
         """Why it proposed nothing, with so many positive bags; as `Method.why_nothing`."""
