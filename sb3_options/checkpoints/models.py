@@ -16,7 +16,7 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 
 from sb3_options.checked import is_number, whole
 from sb3_options.checkpoints.tree import State
-from sb3_options.learning.families import family_of
+from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import Growing, OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
 
@@ -32,10 +32,9 @@ COUNTERS = (
     "_current_progress_remaining",
     "exploration_rate",
     "_steps_seen",
-    "_primitive_steps",
     "_untrained_steps",
     "_untrained_decisions",
-    "_steps_with_options",
+    "_options_since",
 )
 LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 """What the environments gave last."""
@@ -62,7 +61,8 @@ def get_state(model: BaseAlgorithm) -> State:
         "gamma": getattr(model, "gamma", None),
         "policy": dict(model.policy.state_dict()),
         "optimizer": model.policy.optimizer.state_dict() if hasattr(model.policy, "optimizer") else None,
-        "own": family_of(model).get_state(),
+        "choices": model._random.bit_generator.state if isinstance(model, MacroQ) else None,
+        "memory": _memory(model),
         "counters": {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)},
         "last": {name: getattr(model, name, None) for name in LAST},
         "rollout": _rollout(model),
@@ -84,6 +84,12 @@ def growing(model: BaseAlgorithm) -> list[Growing]:
     """The large arrays in `get_state` that tell how they have grown."""
     buffer = getattr(model, "replay_buffer", None)
     return [] if buffer is None else buffer.growing()
+
+
+def _memory(model: BaseAlgorithm) -> list[tuple[torch.Tensor, ...]] | None:
+    """What RecurrentPPO's networks remember of the episodes under way."""
+    states = getattr(model, "_last_lstm_states", None)
+    return None if states is None else [tuple(of_network) for of_network in states]
 
 
 def _rollout(model: BaseAlgorithm) -> State:
@@ -121,7 +127,11 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     model.policy.load_state_dict(state["policy"])
     if state["optimizer"] is not None:
         model.policy.optimizer.load_state_dict(state["optimizer"])
-    family_of(model).set_state(state["own"])
+    if isinstance(model, MacroQ):
+        model._random.bit_generator.state = state["choices"]
+    if state["memory"] is not None:
+        memory = (tuple(each.to(model.device) for each in of_network) for of_network in state["memory"])
+        model._last_lstm_states = type(model._last_lstm_states)(*memory)  # type: ignore[attr-defined]  # it is recurrent
     for names, values in ((COUNTERS, state["counters"]), (LAST, state["last"])):
         for name in names:  # and no others that a stranger's file may name
             if name in values:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -64,11 +65,9 @@ class OptionDQN(MaskedPrediction, DQN):
         kwargs["replay_buffer_kwargs"] = {"n_steps": n_steps, **(kwargs.get("replay_buffer_kwargs") or {})}
         super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading
         self._steps_seen = 0
-        self._primitive_steps = 0
         self._untrained_steps = 0
         self._untrained_decisions = 0
-        self._steps_with_options = 0
-        self._has_options = False
+        self._options_since = math.inf  # primitive steps in `_n_calls` at the first available option
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -90,7 +89,7 @@ class OptionDQN(MaskedPrediction, DQN):
         assert self.env is not None  # it has just been reset
         self._steps_seen = self.num_timesteps
         if self.num_timesteps == 0:  # the schedule of ε begins anew
-            self._steps_with_options = 0
+            self._options_since = math.inf
         check_gamma(self, self.env)
         self.env.env_method("set_slots", report_availability=True)
         buffer = self._option_buffer()
@@ -136,18 +135,14 @@ class OptionDQN(MaskedPrediction, DQN):
         """Update the target network and ε as DQN does, by primitive steps."""
         steps = self.num_timesteps - self._steps_seen
         self._steps_seen = self.num_timesteps
-        self._n_calls += 1
+        self._n_calls += steps
         self._untrained_steps += steps
         self._untrained_decisions += self.n_envs
-        before = self._primitive_steps
-        self._primitive_steps += steps
         interval = max(self.target_update_interval // self.n_envs, 1) * self.n_envs
-        if self._primitive_steps // interval > before // interval:
+        if self._n_calls // interval > (self._n_calls - steps) // interval:
             polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
             polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)
-        if self._has_options or self._steps_with_options:
-            self._steps_with_options += steps
-        with_options = FASTER_WITH_OPTIONS * self._steps_with_options / self._total_timesteps
+        with_options = FASTER_WITH_OPTIONS * max(self._n_calls - self._options_since, 0) / self._total_timesteps
         self.exploration_rate = min(
             map(self.exploration_schedule, (self._current_progress_remaining, 1 - with_options))
         )
@@ -158,7 +153,8 @@ class OptionDQN(MaskedPrediction, DQN):
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         assert self._last_obs is not None  # SB3 resets the environment before it collects
         masks = self._masks_now()
-        self._has_options = bool(masks[:, masks.shape[1] - self._n_slots :].any())
+        if masks[:, masks.shape[1] - self._n_slots :].any():
+            self._options_since = min(self._options_since, self._n_calls)
         if self.num_timesteps < learning_starts:
             actions = np.array([self._explore(mask) for mask in masks])
         else:

@@ -25,10 +25,10 @@ def expand_action_space(
 ) -> Model:
     """Add option slots to a trained model, in place, and keep everything that it has learned.
 
-    Weights, target network, optimizer moments, replay data, counters and schedules are kept. The outputs for the old
-    actions are what they were, but for the rounding of a product with more rows, also after options were installed. The
-    new heads are closed. The model's environments are wrapped in `OptionsWrapper` (a ``Monitor`` stays beneath it) and
-    reset when training goes on. A stock replay buffer becomes an `OptionReplayBuffer`.
+    Weights, target network, optimizer moments, counters and schedules are kept. The outputs for the old actions are
+    what they were, but for the rounding of a product with more rows, also after options were installed. The new heads
+    are closed. The model's environments are wrapped in `OptionsWrapper` (a ``Monitor`` stays beneath it) and reset when
+    training goes on. An empty `OptionReplayBuffer` takes the place of a stock replay buffer.
 
     Continue with ``model.learn(..., callback=SubgoalDiscoveryCallback(), reset_num_timesteps=False)``. An evaluation
     environment must be wrapped by hand, with as many slots.
@@ -45,7 +45,7 @@ def expand_action_space(
         The same model.
 
     Raises:
-        TypeError: Actions are not discrete, or policy, optimizer or replay buffer are none that is known.
+        TypeError: Actions are not discrete, or the policy is none that is known.
         ValueError: The model has slots already, ``max_options`` is no whole number of at least 1, or ``env`` is missing
             or does not fit. Nothing has been changed then.
     """
@@ -62,7 +62,7 @@ def expand_action_space(
         raise TypeError(
             f"{type(model).__name__} has no networks with an output for each action, to which to add slots."
         )
-    family.check_can_widen()
+    family.check_heads()
     venv = _fitting(model, env, n_primitive, max_options, feature_map)
     # With the same generator, so that exploration continues.
     family.widen(spaces.Discrete(n_primitive + max_options, seed=model.action_space.np_random))

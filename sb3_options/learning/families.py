@@ -26,7 +26,7 @@ from sb3_options.learning.replay_buffer import OptionReplayBuffer
 logger = logging.getLogger("sb3_options")
 
 STOCK_BUFFERS = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)
-"""Replay buffers of SB3 whose transitions an `OptionReplayBuffer` takes over."""
+"""Replay buffers of SB3 that an `OptionReplayBuffer` may replace as long as they are empty."""
 
 KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
 """What a stock replay buffer was made with that `OptionReplayBuffer` takes too."""
@@ -75,12 +75,6 @@ class Family:
         """Forget the values of an action whose slot was emptied; whether there were any."""
         return False
 
-    def get_state(self) -> Any:
-        """For a checkpoint: what a model of any algorithm does not have."""
-
-    def set_state(self, state: Any) -> None:
-        """Go on with what `get_state` gave."""
-
 
 class Table(Family):
     """`MacroQ`: values in a table, updated after every step."""
@@ -107,22 +101,18 @@ class Table(Family):
         values[:] = 0.0
         return had_values
 
-    def get_state(self) -> Any:
-        """The generator of its choices."""
-        return self.model._random.bit_generator.state
-
-    def set_state(self, state: Any) -> None:
-        """Go on with what `get_state` gave."""
-        self.model._random.bit_generator.state = state
-
 
 class Networks(Family):
     """Base of the families whose policy is a network with an output for each action."""
 
     has_heads = True
 
-    def check(self, venv: VecEnv | None = None) -> None:
-        """Refuse heads that are not found, or, where an observation is there, that others depend on."""
+    def check(self, venv: VecEnv) -> None:
+        """Refuse heads that cannot be closed."""
+        self.check_heads()
+
+    def check_heads(self) -> None:
+        """Refuse heads that are not found, or, once the environment was reset, that others depend on."""
         heads.option_outputs(self.model.policy)
         last_obs = self.model._last_obs
         if last_obs is None:
@@ -154,10 +144,6 @@ class Networks(Family):
         if was_open:
             heads.forget_moments(policy, action)
         return was_open
-
-    def check_can_widen(self) -> None:
-        """Refuse a model that `widen` could not give more actions."""
-        Networks.check(self)
 
     def widen(self, actions: spaces.Discrete) -> None:
         """Give the model more actions, with closed heads, and keep everything that it has learned."""
@@ -197,7 +183,7 @@ class ValueBased(Networks):
         if buffer is None:
             return
         if self.replay_buffer is None:
-            if not self._can_be_replaced(buffer) or buffer.size():
+            if type(buffer) not in STOCK_BUFFERS or buffer.size():
                 raise ValueError(
                     f"{name} was built with {type(buffer).__name__}, which discounts an option of k steps with γ "
                     f"instead of γᵏ: pass {name}(..., replay_buffer_class=OptionReplayBuffer)."
@@ -210,14 +196,11 @@ class ValueBased(Networks):
                 f"{name}(..., replay_buffer_kwargs={{'n_steps': {n_steps}}}) instead of n_steps."
             )
 
-    def _can_be_replaced(self, buffer: Any) -> bool:
-        return type(buffer) in STOCK_BUFFERS and not buffer.optimize_memory_usage
-
-    def check(self, venv: VecEnv | None = None) -> None:
+    def check(self, venv: VecEnv) -> None:
         """Also refuse stacked frames that could not be stored, and a clip of sums of rewards."""
         super().check(venv)
         normalizer, name = self.model.get_vec_normalize_env(), type(self.model).__name__
-        if venv is not None and is_vecenv_wrapped(venv, VecFrameStack):
+        if is_vecenv_wrapped(venv, VecFrameStack):
             if normalizer is not None and not is_vecenv_wrapped(normalizer, VecFrameStack):
                 raise ValueError(
                     f"VecFrameStack stands above VecNormalize, and {name} stores what VecNormalize was given, which is "
@@ -242,21 +225,8 @@ class ValueBased(Networks):
         values: torch.Tensor = heads.networks(self.model.policy)[0](batch)
         return values
 
-    def check_can_widen(self) -> None:
-        """Also refuse a replay buffer whose transitions could not be taken over."""
-        super().check_can_widen()
-        buffer = self.model.replay_buffer
-        if buffer is None or self.replay_buffer is not None:
-            return
-        if not self._can_be_replaced(buffer):
-            raise TypeError(
-                f"The transitions of a {type(buffer).__name__} cannot be taken over, only those of "
-                f"{', '.join(each.__name__ for each in STOCK_BUFFERS)} without optimize_memory_usage: set "
-                "model.replay_buffer = None to go on with an empty one."
-            )
-
     def widen(self, actions: spaces.Discrete) -> None:
-        """A stock replay buffer becomes an `OptionReplayBuffer`."""
+        """An empty `OptionReplayBuffer` takes the place of a stock one."""
         super().widen(actions)
         model = self.model
         model.policy.net_args["action_space"] = actions  # for building networks
@@ -266,19 +236,14 @@ class ValueBased(Networks):
             self._use_option_buffer(actions)
 
     def _use_option_buffer(self, actions: spaces.Discrete) -> None:
-        """Make the replay buffer an `OptionReplayBuffer` with the transitions that are in it."""
+        """Give the model an empty `OptionReplayBuffer`."""
         model = self.model
-        stock = model.replay_buffer
         kwargs = {key: value for key, value in model.replay_buffer_kwargs.items() if key in KEPT_KWARGS}
         model.replay_buffer_class = OptionReplayBuffer
         model.replay_buffer_kwargs = kwargs
         model.optimize_memory_usage = False
-        model.replay_buffer = (
-            OptionReplayBuffer(
-                model.buffer_size, model.observation_space, actions, model.device, model.n_envs, **kwargs
-            )
-            if stock is None
-            else OptionReplayBuffer.from_stock(stock, actions, model.gamma)
+        model.replay_buffer = OptionReplayBuffer(
+            model.buffer_size, model.observation_space, actions, model.device, model.n_envs, **kwargs
         )
 
 
@@ -323,17 +288,6 @@ class Recurrent(Sampled):
         memory = torch.zeros(policy.lstm_hidden_state_shape, device=policy.device)
         distribution, _ = policy.get_distribution(batch, (memory, memory), torch.ones(1, device=policy.device))
         return distribution
-
-    def get_state(self) -> Any:
-        """The memory of the LSTM."""
-        states = self.model._last_lstm_states
-        return None if states is None else [tuple(each) for each in states]
-
-    def set_state(self, state: Any) -> None:
-        """Go on with what `get_state` gave."""
-        if state is not None:
-            there = (tuple(each.to(self.model.device) for each in states) for states in state)
-            self.model._last_lstm_states = type(self.model._last_lstm_states)(*there)
 
 
 def family_of(model: BaseAlgorithm) -> Family:

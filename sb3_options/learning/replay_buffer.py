@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -133,29 +133,6 @@ class OptionReplayBuffer(ReplayBuffer):
         self.rewards, self.dones = zeros(np.float32), zeros(np.float32)
         self.timeouts, self.discounts = zeros(np.float32), zeros(np.float32)
         self.next_available = zeros(bool, 0)
-
-    @classmethod
-    def from_stock(cls, stock: ReplayBuffer, action_space: spaces.Space[Any], gamma: float) -> Self:
-        """A buffer with the transitions and ``n_steps`` of one of SB3's own, the oldest first; all are single steps."""
-        buffer = cls(
-            stock.buffer_size * stock.n_envs,
-            stock.observation_space,
-            action_space,
-            device=stock.device,
-            n_envs=stock.n_envs,
-            handle_timeout_termination=stock.handle_timeout_termination,
-            n_steps=getattr(stock, "n_steps", 1),
-        )
-
-        def at(observations: Any, row: int) -> Any:
-            return {k: v[row] for k, v in observations.items()} if isinstance(observations, dict) else observations[row]
-
-        run = {"index": -1, "duration": 1, "discount": gamma}
-        for row in np.roll(np.arange(stock.size()), -stock.pos if stock.full else 0).tolist():
-            infos = [{"option": run, "TimeLimit.truncated": bool(timeout)} for timeout in stock.timeouts[row]]
-            obs, next_obs = at(stock.observations, row), at(stock.next_observations, row)
-            buffer.add(obs, next_obs, stock.actions[row], stock.rewards[row], stock.dones[row], infos)
-        return buffer
 
     def track_availability(self, max_options: int) -> None:
         """Also keep, for each transition, which of ``max_options`` slots may start in its next observation."""

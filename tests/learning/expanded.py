@@ -50,7 +50,6 @@ every_and_a_size_that_matters = pytest.mark.parametrize(
     ("name", "max_options"),
     [*((name, MAX_OPTIONS) for name in KINDS), ("qrdqn", 1)],
 )
-off_policy = pytest.mark.parametrize("name", ["dqn", "qrdqn"])
 
 
 def trained(name: str, env: Any = None, steps: int = 128, **kwargs: Any) -> Any:

@@ -82,9 +82,3 @@ def test_other_models_are_refused() -> None:
     model.policy.q_net_target = None
     with pytest.raises(TypeError, match="DQNPolicy has neither action_net"):
         expand_action_space(model)
-
-    class Own(ReplayBuffer):
-        pass
-
-    with pytest.raises(TypeError, match="transitions of a Own cannot be taken over"):
-        expand_action_space(small_model(replay_buffer_class=Own))

@@ -10,7 +10,6 @@ from gymnasium import spaces
 from sb3_contrib import QRDQN
 from stable_baselines3 import DQN
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecTransposeImage
 
@@ -26,7 +25,6 @@ from tests.learning.expanded import (
     N_QUANTILES,
     every,
     every_and_a_size_that_matters,
-    off_policy,
     outputs,
     random_observations,
     trained,
@@ -94,7 +92,7 @@ def test_every_kind_of_observation(name: str, kind: str) -> None:
     assert model.num_timesteps == 128
     assert callback.episodes > 0
     if name == "dqn":
-        assert model.replay_buffer.size() == 100
+        assert model.replay_buffer.size() == 64
         assert (model.replay_buffer.sample(16).discounts == GAMMA).all()
 
 
@@ -111,6 +109,8 @@ def test_training_goes_on_as_it_would_have(name: str) -> None:
     stock, model = (trained(name, **unclipped) for _ in range(2))
     rollout = dict(vars(stock.rollout_buffer)) if hasattr(stock, "rollout_buffer") else {}
     expand_action_space(model, MAX_OPTIONS)
+    if name in ("dqn", "qrdqn"):
+        model.replay_buffer = stock.replay_buffer
     if name == "maskableppo":  # its masks are wider now; what else was collected goes in again
         masks = np.pad(rollout["action_masks"], [(0, 0)] * (rollout["action_masks"].ndim - 1) + [(0, MAX_OPTIONS)])
         kept = {k: v for k, v in rollout.items() if k not in ("action_space", "mask_dims")}
@@ -179,24 +179,6 @@ def test_everything_knows_the_new_actions(name: str) -> None:
         assert buffer.action_masks.shape[-1] == N_ACTIONS
 
 
-@off_policy
-@pytest.mark.parametrize("n_envs", [1, 3])
-def test_replay_data_is_kept(name: str, n_envs: int) -> None:
-    model = trained(name, make_vec_env(small_rooms, n_envs, seed=0), steps=600, buffer_size=300)
-    stock = model.replay_buffer
-    rewards, actions = stock.rewards.copy(), stock.actions.copy()
-    expand_action_space(model, MAX_OPTIONS)
-    buffer = model.replay_buffer
-    assert isinstance(buffer, OptionReplayBuffer)
-    assert buffer.full
-    assert buffer.buffer_size == 300
-    assert np.array_equal(buffer.rewards, rewards.ravel())
-    assert np.array_equal(buffer.actions[:, 0], actions.ravel())
-    assert (buffer.discounts == np.float32(GAMMA)).all()
-    model.learn(60, reset_num_timesteps=False)
-    assert set(buffer.actions[:, 0]) <= set(range(N_PRIMITIVE))
-
-
 @pytest.mark.filterwarnings("ignore:`n_steps=3` is ignored")  # SB3 says so of its own buffer
 def test_n_step_returns_of_a_model_that_was_loaded(tmp_path: Path) -> None:
     """SB3 saves no replay buffer."""
@@ -206,10 +188,9 @@ def test_n_step_returns_of_a_model_that_was_loaded(tmp_path: Path) -> None:
     assert cast("Any", model.replay_buffer).n_steps == 3
 
 
-def test_a_buffer_that_was_taken_away_or_knows_options_already() -> None:
-    model = trained("dqn", steps=64)
-    model.replay_buffer = None
-    expand_action_space(model, MAX_OPTIONS)
+def test_a_stock_replay_buffer_gives_way_to_an_empty_one() -> None:
+    model = expand_action_space(trained("dqn", steps=64), MAX_OPTIONS)
+    assert isinstance(model.replay_buffer, OptionReplayBuffer)
     assert model.replay_buffer.size() == 0
     assert model.replay_buffer.buffer_size == 1000
     other = DQN("MlpPolicy", small_rooms(), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=50)
