@@ -35,10 +35,11 @@ def differences(one: Path, other: Path) -> dict[str, list[str]]:
 
 def _of_options(one: Path, other: Path) -> list[str]:
     """By content, for safetensors writes its text entries in any order."""
-    (about, arrays), (about_other, others) = (option_file.read(folder / runs.OPTIONS) for folder in (one, other))
+    file, file_other = (option_file.opened(folder / runs.OPTIONS) for folder in (one, other))
+    arrays, others = file.tensors, file_other.tensors
     names = arrays.keys() | others.keys()
     differ = [n for n in names if n not in arrays or n not in others or arrays[n].tobytes() != others[n].tobytes()]
-    return sorted(differ) + ["other entries"] * (about != about_other)
+    return sorted(differ) + ["other entries"] * (file[1:6] != file_other[1:6])
 
 
 def _of_models(one: Path, other: Path) -> list[str]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from sb3_options.checkpoints.tree import Arrays, State, encode
+from sb3_options.checkpoints.tree import State, encode
+from sb3_options.options.sealed import Arrays
 from sb3_options.state import Part
 
 OF_THE_CLOCK = frozenset(

@@ -18,13 +18,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from safetensors import SafetensorError
+from safetensors import safe_open
 from safetensors.numpy import load as from_safetensors
 from safetensors.numpy import save as to_safetensors
 
 from sb3_options.atomic import atomic_write
-from sb3_options.checkpoints.tree import Arrays, State, decode, encode
+from sb3_options.checkpoints.tree import State, decode, encode
 from sb3_options.learning.replay_buffer import Growing
+from sb3_options.options.sealed import DAMAGE, errors_of, sealed, unsealed
 
 FORMAT = "sb3-options checkpoint 1"
 
@@ -113,8 +114,8 @@ class CheckpointFolder:
         for file in files[KEPT:]:
             file.unlink()
         try:
-            used = {name for file in files[:KEPT] for name in _block_names(_header(file))}
-        except ValueError:
+            used = {name for file in files[:KEPT] for name in _block_names(file)}
+        except DAMAGE:
             return  # whoever damaged a file may want to look at it: its blocks stay
         for path in (self.path / BLOCKS).iterdir():
             if path.stem not in used:  # what killed processes left, too
@@ -125,37 +126,23 @@ class CheckpointFolder:
 
 def read(file: Path) -> State:
     """The state in a checkpoint. Nothing of the file is run."""
-    content = file.read_bytes()
-    try:
-        header = _header(file)
-        arrays = {key: np.array(array) for key, array in from_safetensors(content).items()}
-        if header["digest"] != _digest(header["state"], header["blocks"], arrays):
-            raise ValueError("its contents are not what was written to it")
-        large = json.loads(header["blocks"])
+    with errors_of(str(file), "is no checkpoint, or it is damaged"):
+        parts, arrays = unsealed(file.read_bytes(), FORMAT)
+        large = parts["blocks"]
         _check_sizes(large, file.parent / BLOCKS)
         for number, about in large.items():
             arrays[number] = _joined(about, file.parent / BLOCKS)
-        state = decode(json.loads(header["state"]), arrays)
+        state = decode(parts["state"], arrays)
         if not isinstance(state, dict):
             raise ValueError("it holds no state")
-    except (SafetensorError, KeyError, TypeError, AttributeError, RecursionError, ValueError, OSError) as error:
-        raise ValueError(f"{file} is no checkpoint, or it is damaged: {error}") from error
     return state
 
 
 def _packed(state: State, blocks: Path, known: KnownBlocks) -> bytes:
     content, arrays = encode(state)
-    small: Arrays = {}
-    large: dict[str, Any] = {}
-    for number, array in arrays.items():
-        if array.nbytes > BLOCK_BYTES:
-            large[number] = _cut(array, blocks, known)
-        else:
-            small[number] = array
-    text, about = json.dumps(content), json.dumps(large)
-    metadata = {"format": FORMAT, "state": text, "blocks": about, "digest": _digest(text, about, small)}
-    packed: bytes = to_safetensors(small, metadata=metadata)
-    return packed
+    large = {number: _cut(a, blocks, known) for number, a in arrays.items() if a.nbytes > BLOCK_BYTES}
+    small = {number: array for number, array in arrays.items() if number not in large}
+    return sealed(FORMAT, {"state": content, "blocks": large}, small)
 
 
 def _cut(array: npt.NDArray[Any], folder: Path, known: KnownBlocks) -> State:
@@ -215,30 +202,11 @@ def _joined(about: State, folder: Path) -> npt.NDArray[Any]:
     return array
 
 
-def _header(file: Path) -> dict[str, str]:
-    """The text entries of a checkpoint."""
-    try:
-        with file.open("rb") as opened:
-            size = int.from_bytes(opened.read(8), "little")
-            header = json.loads(opened.read(size))["__metadata__"]
-        if header["format"] != FORMAT:
-            raise ValueError(f"its format is {header['format']!r}, expected {FORMAT!r}")
-    except (KeyError, TypeError, ValueError, OverflowError, MemoryError, RecursionError) as error:
-        raise ValueError(f"{file} is no checkpoint of this version: {error!r}") from error
-    return dict(header)
-
-
-def _block_names(header: dict[str, str]) -> list[str]:
-    return [name for about in json.loads(header["blocks"]).values() for name in about["names"]]
-
-
-def _digest(text: str, blocks: str, arrays: Arrays) -> str:
-    """SHA-256 of everything that a checkpoint says, with the names of its blocks, which are digests themselves."""
-    sha256 = hashlib.sha256(json.dumps([text, blocks]).encode())
-    for name in sorted(arrays):
-        sha256.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode())
-        sha256.update(np.ascontiguousarray(arrays[name]).tobytes())
-    return sha256.hexdigest()
+def _block_names(file: Path) -> list[str]:
+    """The blocks of a checkpoint."""
+    with safe_open(file, framework="np") as opened:
+        large = json.loads(opened.metadata()["blocks"])
+    return [name for about in large.values() for name in about["names"]]
 
 
 def _sync(folder: Path) -> None:

@@ -16,6 +16,7 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 
 from sb3_options.checked import is_number, whole
 from sb3_options.checkpoints.tree import State
+from sb3_options.learning.families import family_of
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import Growing, OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import option_rollout_buffer

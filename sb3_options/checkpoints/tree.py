@@ -15,12 +15,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from sb3_options.options.sealed import Arrays
 from sb3_options.state import VALUES, made, names_of
 
 State: TypeAlias = dict[str, Any]
 """What ``get_state`` gives and ``set_state`` takes."""
-
-Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 
 MARK = "$"  # key of a JSON object that stands for something else than a dictionary
 
@@ -42,11 +41,8 @@ def encode(state: Any) -> tuple[Any, Arrays]:
 
 
 def decode(content: Any, arrays: Arrays) -> Any:
-    """The inverse of `encode`; arrays are taken over, not copied."""
-    try:
-        return _Decoder(arrays).decoded(content)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
-        raise ValueError(f"it is damaged: {error!r}") from error
+    """The inverse of `encode`, which raises `sealed.DAMAGE`; arrays are taken over, not copied."""
+    return _Decoder(arrays).decoded(content)
 
 
 class _Encoder:

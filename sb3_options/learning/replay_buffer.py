@@ -13,7 +13,6 @@ from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_options.checked import whole
 from sb3_options.experience.observations import BoolArray, Observations, take
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.n_step import Successors
@@ -82,11 +81,11 @@ class OptionReplayBuffer(ReplayBuffer):
         optimize_memory_usage: Not supported.
         handle_timeout_termination: Bootstrap after a timeout instead of taking it for an end.
         macro_q: Whether the steps inside options are stored.
-        n_steps: Decisions of an n-step return, each with its own γᵏ. Steps inside options count as one each.
+        n_steps: Decisions of an n-step return, each with its own γᵏ; at least 1. Steps inside options are one each.
         gamma: Unused, as for SB3's ``NStepReplayBuffer``: every transition has its own discount.
 
     Raises:
-        ValueError: ``optimize_memory_usage`` is set, or ``n_steps`` is no whole number of at least 1.
+        ValueError: ``optimize_memory_usage`` is set.
     """
 
     def __init__(
@@ -103,8 +102,6 @@ class OptionReplayBuffer(ReplayBuffer):
         n_steps: int = 1,
         gamma: float | None = None,
     ) -> None:
-        if not whole(n_steps, 1):
-            raise ValueError(f"n_steps must be a whole number of at least 1 decision, got {n_steps!r}.")
         if optimize_memory_usage:
             raise ValueError(
                 "OptionReplayBuffer needs optimize_memory_usage=False: with options the next observation of one "

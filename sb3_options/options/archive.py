@@ -10,11 +10,15 @@ import zlib
 from pathlib import Path
 from typing import TypeAlias
 
+from sb3_options.options.sealed import errors_of
+
 NAME = "options.safetensors"  # of the file in the folder of a run
 CARRIED = "carried_options"  # attribute of a model, and entry of a ``model.zip``'s ``data``, with the content as text
 
 MAX_BYTES = 1 << 30
 """Largest content that is unpacked from a ``model.zip``, so that a small file cannot fill the memory."""
+
+NO_OPTIONS_FILE = "is no options file, or it is damaged"
 
 Source: TypeAlias = str | os.PathLike[str] | bytes
 """Path of an options file or of a ``model.zip``, or the content of an options file."""
@@ -36,17 +40,14 @@ def content_in(source: Source) -> bytes:
         if file.read(4) != b"PK\3\4":
             file.seek(0)
             return file.read()
-    try:
-        with zipfile.ZipFile(path) as archive:
-            data = {}
-            if "data" in archive.namelist():
-                if archive.getinfo("data").file_size > MAX_BYTES:
-                    raise ValueError(f"data has more than {MAX_BYTES:,} bytes")
-                data = json.loads(archive.read("data"))
-            if CARRIED in data:
-                return unpacked_text(data[CARRIED])
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no options file, or it is damaged: {error}") from error
+    with errors_of(str(path), NO_OPTIONS_FILE), zipfile.ZipFile(path) as archive:
+        data = {}
+        if "data" in archive.namelist():
+            if archive.getinfo("data").file_size > MAX_BYTES:
+                raise ValueError(f"data has more than {MAX_BYTES:,} bytes")
+            data = json.loads(archive.read("data"))
+        if CARRIED in data:
+            return unpacked_text(data[CARRIED])
     raise ValueError(
         f"{path} holds no options: its model was saved without a callback of this library. If there is a file of its "
         "options, use that."

@@ -15,6 +15,7 @@ from sb3_options.options import file as option_file
 from sb3_options.options.archive import Source, name_of
 from sb3_options.options.file import MAX_SLOTS, SpaceSignature
 from sb3_options.options.option import KnownFeatures, Option, SingleCache, SubgoalOption
+from sb3_options.options.sealed import errors_of
 
 
 class OptionBank:
@@ -163,10 +164,8 @@ class OptionBank:
             signature=self.signature,
         )
         if isinstance(self.feature_map, LearnedMap) and loaded:
-            try:
+            with errors_of(name_of(source), "does not fit"):
                 self.feature_map.load(option_file.opened(source).feature_map())
-            except ValueError as error:
-                raise ValueError(f"{name_of(source)} does not fit: {error}.") from error
         for slot, option in loaded.items():
             self._put(slot, self._bound(option))
 

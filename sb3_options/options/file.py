@@ -4,36 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any, NamedTuple, get_args
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load as from_safetensors
-from safetensors.numpy import save as to_safetensors
+from pydantic import BaseModel, Field, TypeAdapter
 
-from sb3_options.checked import whole
-from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.density.regions import Region
 from sb3_options.embedding.settings import LEARNED
 from sb3_options.options import policies
-from sb3_options.options.archive import Source, content_in, name_of
+from sb3_options.options.archive import NO_OPTIONS_FILE, Source, content_in, name_of
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import PolicyInput
+from sb3_options.options.sealed import Arrays, errors_of, sealed, unsealed
 
 MAX_SLOTS = 1_000_000  # each slot is an action, for which a network has an output
 FILE_FORMAT = "sb3-options 1"  # an optional entry such as ``made_for`` needs no new number
 MAP = "feature_map"  # before the names of arrays of a learned feature map. Slots have numbers
-
-FEWER_FEATURES = (
-    "Discover options on groups that both tasks have, ConceptSettings(groups=...). In MiniGrid what a mission "
-    "asks for is such a group: discover with make(..., asked=False), train.py --env-kwargs asked:False"
-)
-"""What to do about an option whose features a task does not have."""
-
-Arrays = dict[str, np.ndarray[Any, Any]]
 
 
 class SpaceSignature(NamedTuple):
@@ -83,6 +71,25 @@ _OF_KIND: dict[str | None, str] = {
 }
 
 
+class Entry(BaseModel):
+    """What a file says of a discovered option besides its arrays."""
+
+    name: str
+    max_duration: Annotated[int, Field(ge=1)]
+    radius: dict[Literal["subgoal", "initiation"], Annotated[float, Field(ge=0, allow_inf_nan=False)]]
+    policy_input: PolicyInput = "observation"
+    group: FeatureGroup | None = None
+
+
+class About(BaseModel):
+    """What a file says besides its arrays."""
+
+    n_primitive: Annotated[int, Field(ge=1, le=MAX_SLOTS)]  # before anything is made of so many
+    max_options: Annotated[int, Field(ge=0, le=MAX_SLOTS)]
+    slots: dict[Annotated[int, Field(ge=0)], dict[str, Any]]
+    made_for: SpaceSignature | None = None
+
+
 def content_of(
     slots: Sequence[Option | None],
     *,
@@ -105,7 +112,7 @@ def content_of(
     about: dict[str, Any] = {"n_primitive": n_primitive, "max_options": len(slots), "slots": entries}
     if signature is not None:
         about["made_for"] = signature._asdict()
-    return packed(about, tensors)
+    return sealed(FILE_FORMAT, {"bank": about}, tensors)
 
 
 class OptionsFile(NamedTuple):
@@ -114,7 +121,7 @@ class OptionsFile(NamedTuple):
     name: str  # for errors
     n_primitive: int
     max_options: int
-    entries: dict[int, dict[str, Any]]  # of discovered options, by slot
+    entries: dict[int, Entry]  # of discovered options, by slot
     hand_made: dict[int, str]  # names of the others, by slot
     made_for: SpaceSignature | None  # observations they act on; None for any
     tensors: Arrays
@@ -129,46 +136,24 @@ class OptionsFile(NamedTuple):
     ) -> dict[int, SubgoalOption]:
         """The discovered options by slot, not bound to a feature map; a size of None takes any."""
         options = {}
-        with _errors_of(self.name):
-            for slot, entry in self.entries.items():
-                arrays = {name: np.asarray(a, dtype=np.float64) for name, a in _named(f"{slot}.", self.tensors).items()}
-                try:
-                    options[slot] = _decode(entry, arrays, self.n_primitive, observation_size, feature_size)
-                except ValueError as error:
-                    raise ValueError(f"the option in slot {slot}, {entry['name']!r}: {error}") from error
+        for slot, entry in self.entries.items():
+            arrays = {name: np.asarray(a, dtype=np.float64) for name, a in _named(f"{slot}.", self.tensors).items()}
+            with errors_of(self.name, f"does not fit, the option in slot {slot}, {entry.name!r}"):
+                options[slot] = _decode(entry, arrays, self.n_primitive, observation_size, feature_size)
         return options
 
 
 def opened(source: Source) -> OptionsFile:
     """What an options file says."""
     content, name = content_in(source), name_of(source)
-    about, tensors = _parts_of(content, name)
-    with _errors_of(name):
-        n_primitive, max_options = about["n_primitive"], about["max_options"]
-        for what, number, least in (("n_primitive", n_primitive, 1), ("max_options", max_options, 0)):
-            if not (whole(number, least) and number <= MAX_SLOTS):  # before anything is made of so many
-                raise TypeError(f"{what} must be a whole number from {least} to {MAX_SLOTS:,}, got {number!r:.50}")
-        slots = {int(slot): entry for slot, entry in about["slots"].items()}
-        if not all(0 <= slot < max_options for slot in slots):
-            raise IndexError(f"an option in slot {max(slots, key=abs)} of {max_options}")
-        hand_made = {slot: str(entry["name"]) for slot, entry in slots.items() if entry.get("hand_made")}
-        entries = {slot: entry for slot, entry in slots.items() if slot not in hand_made}
-        made_for = SpaceSignature(**about["made_for"]) if "made_for" in about else None
-        if made_for is not None and made_for.features not in _OF_KIND:
-            raise KeyError(made_for.features)
+    with errors_of(name, NO_OPTIONS_FILE):
+        parts, tensors = unsealed(content, FILE_FORMAT)
+        about = About.model_validate(parts["bank"])
+        hand_made = {slot: str(entry["name"]) for slot, entry in about.slots.items() if entry.get("hand_made")}
+        discovered = {slot: entry for slot, entry in about.slots.items() if slot not in hand_made}
+        entries = TypeAdapter(dict[int, Entry]).validate_python(discovered)
     sha256 = hashlib.sha256(content).hexdigest()
-    return OptionsFile(name, n_primitive, max_options, entries, hand_made, made_for, tensors, sha256)
-
-
-@contextmanager
-def _errors_of(name: str) -> Iterator[None]:
-    """What does not fit, and what makes no sense, as a `ValueError` that says in which file."""
-    try:
-        yield
-    except (KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
-        raise ValueError(f"{name} is damaged: {error!r}") from error
-    except ValueError as error:
-        raise ValueError(f"{name} does not fit: {error}.") from error
+    return OptionsFile(name, about.n_primitive, about.max_options, entries, hand_made, about.made_for, tensors, sha256)
 
 
 def load(
@@ -185,7 +170,7 @@ def load(
     A hand-made option of the file must be in its slot.
     """
     file = opened(source)
-    with _errors_of(file.name):
+    with errors_of(file.name, "does not fit"):
         if file.n_primitive != n_primitive:
             raise ValueError(
                 f"its options choose among {file.n_primitive} primitive actions, this task has {n_primitive}"
@@ -204,7 +189,7 @@ def load(
                     "the bank first"
                 )
         if signature is not None and file.made_for is not None:
-            check_signature(file.made_for, signature, {_policy_input(entry) for entry in file.entries.values()})
+            check_signature(file.made_for, signature, {entry.policy_input for entry in file.entries.values()})
     return file.options(observation_size=observation_size, feature_size=feature_size)
 
 
@@ -217,51 +202,6 @@ def slots_of(source: Source) -> list[int]:
 def _named(first: str, tensors: Arrays) -> Arrays:
     """The arrays whose names begin so, by the rest of the name."""
     return {name.removeprefix(first): array for name, array in tensors.items() if name.startswith(first)}
-
-
-def packed(about: dict[str, Any], tensors: Arrays) -> bytes:
-    """JSON and arrays with their digest; `read` is the inverse."""
-    text = json.dumps(about)
-    metadata = {"format": FILE_FORMAT, "bank": text, "digest": digest(text, tensors)}
-    return _in_order(to_safetensors(tensors, metadata=metadata))
-
-
-def _in_order(content: bytes) -> bytes:
-    """The same file with its metadata in order, so that the same options are the same bytes: safetensors draws one."""
-    start = 8 + int.from_bytes(content[:8], "little")
-    header = json.loads(content[8:start])
-    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
-    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-    text += b" " * (-len(text) % 8)
-    return len(text).to_bytes(8, "little") + text + content[start:]
-
-
-def read(source: Source) -> tuple[dict[str, Any], Arrays]:
-    """What `packed` was given. Only the digest is checked, and the errors are those of `load`."""
-    return _parts_of(content_in(source), name_of(source))
-
-
-def _parts_of(content: bytes, name: str) -> tuple[dict[str, Any], Arrays]:
-    try:
-        tensors = {key: np.array(array) for key, array in from_safetensors(content).items()}
-        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
-    except (SafetensorError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{name} is no options file, or it is damaged: {error}") from error
-    metadata = header.get("__metadata__", {})
-    if metadata.get("format") != FILE_FORMAT:
-        raise ValueError(
-            f"{name} is no options file of this version: its format is {metadata.get('format')!r}, "
-            f"expected {FILE_FORMAT!r}."
-        )
-    if metadata.get("digest") != digest(metadata.get("bank", ""), tensors):
-        raise ValueError(f"{name} is damaged: its contents are not what was written to it.")
-    try:
-        about = json.loads(metadata["bank"])
-    except (KeyError, RecursionError, json.JSONDecodeError) as error:
-        raise ValueError(f"{name} is damaged: {error!r}") from error
-    if not isinstance(about, dict):
-        raise ValueError(f"{name} is damaged: it says {type(about).__name__} where a dictionary should be.")
-    return about, tensors
 
 
 def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
@@ -287,62 +227,35 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
 
 
 def _decode(
-    entry: dict[str, Any], arrays: Arrays, n_primitive: int, observation_size: int | None, feature_size: int | None
+    entry: Entry, arrays: Arrays, n_primitive: int, observation_size: int | None, feature_size: int | None
 ) -> SubgoalOption:
-    """The option that `_encode` was given; a `ValueError` says which parts do not fit."""
-    group = FeatureGroup(**entry["group"]) if "group" in entry else None
-    subgoal = _region(arrays, "subgoal", entry["radius"]["subgoal"], group)
-    sees = None if group is None else group.sees
-    initiation = _region(arrays, "initiation", entry["radius"]["initiation"], sees)
-    n_features, n_seen = subgoal.points.shape[1], initiation.points.shape[1]
-    if group is not None and sees is not None:
-        for what, number, of in (("subgoal", n_features, group), ("initiation set", n_seen, sees)):
-            if number != len(of.features):
-                raise ValueError(f"its {what} has {number} features, its group names {len(of.features)}")
-        most = max(*group.features, *sees.features)
-        if feature_size is not None and most >= feature_size:
-            raise ValueError(
-                f"its group {group.name!r} names feature {most}, the feature map gives {feature_size}. {FEWER_FEATURES}"
-            )
-    elif feature_size is not None and n_features != feature_size:
-        raise ValueError(f"its subgoals have {n_features} features, the feature map here gives {feature_size}")
-    elif n_seen != n_features:
-        raise ValueError(f"its initiation set has {n_seen} features, its subgoal {n_features}")
-    policy_input = _policy_input(entry)
-    size = observation_size if policy_input == "observation" else n_seen
+    """The option that `_encode` was given."""
+    group = entry.group
+    if group is not None and feature_size is not None:
+        checked_groups([group], feature_size)
+    subgoal = _region(arrays, "subgoal", entry, group, feature_size)
+    n_features = subgoal.points.shape[1]
+    initiation = _region(arrays, "initiation", entry, None if group is None else group.sees, n_features)
+    size = observation_size if entry.policy_input == "observation" else initiation.points.shape[1]
     return SubgoalOption(
         subgoal,
         initiation,
         policies.from_arrays(arrays, size, n_primitive),
-        policy_input=policy_input,
-        max_duration=entry["max_duration"],
-        name=str(entry["name"]),
+        policy_input=entry.policy_input,
+        max_duration=entry.max_duration,
+        name=entry.name,
     )
 
 
-def _policy_input(entry: dict[str, Any]) -> PolicyInput:
-    policy_input: PolicyInput = entry.get("policy_input", "observation")
-    if policy_input not in get_args(PolicyInput):
-        raise ValueError(f"its policy acts on {policy_input!r}, expected one of {', '.join(get_args(PolicyInput))}")
-    return policy_input
-
-
-def _region(arrays: Arrays, name: str, radius: float, group: FeatureGroup | None) -> Region:
-    points, scale = arrays[name], arrays[f"{name}_scale"]
-    if points.ndim != 2 or scale.shape != points.shape[1:]:
-        raise ValueError(f"its {name} has points of shape {points.shape} and a scale of shape {scale.shape}")
-    if not (np.isfinite(points).all() and np.isfinite(scale).all() and np.isfinite(radius) and radius >= 0):
-        raise ValueError(f"its {name} holds numbers that are not finite, or a negative radius")
-    normal = arrays.get(f"{name}_normal")
-    if normal is not None and not (len(points) == 1 and normal.shape == scale.shape and np.isfinite(normal).all()):
-        raise ValueError(f"its {name} has {len(points)} points and a normal of shape {normal.shape}, or no finite one")
-    return Region(points, scale, float(radius), group=group, normal=normal)
-
-
-def digest(about: str, tensors: Arrays) -> str:
-    """SHA-256 of everything an options file says, by which a damaged file is recognised."""
-    sha256 = hashlib.sha256(about.encode())
-    for name in sorted(tensors):
-        sha256.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
-        sha256.update(tensors[name].tobytes())
-    return sha256.hexdigest()
+def _region(arrays: Arrays, name: str, entry: Entry, group: FeatureGroup | None, n_features: int | None) -> Region:
+    """A region in the features of a group, or in so many; None takes any number."""
+    points, scale, normal = arrays[name], arrays[f"{name}_scale"], arrays.get(f"{name}_normal")
+    n = len(group.features) if group is not None else points.shape[1] if n_features is None else n_features
+    fits = points.shape == (len(points), n) and scale.shape == (n,)
+    fits = fits and (normal is None or (len(points) == 1 and normal.shape == (n,)))
+    if not (fits and all(np.isfinite(each).all() for each in (points, scale, normal) if each is not None)):
+        raise ValueError(
+            f"its {name} has points of shape {points.shape} and a scale of shape {scale.shape}, expected {n} features "
+            "and finite numbers"
+        )
+    return Region(points, scale, entry.radius[name], group=group, normal=normal)  # type: ignore[index]  # one of two

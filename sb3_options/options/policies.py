@@ -115,30 +115,23 @@ def from_arrays(
 ) -> OptionPolicy:
     """The inverse of ``arrays``, for observations of any size where ``observation_size`` is None."""
     numbers = "some" if observation_size is None else observation_size
-    expected = f"expected {numbers} numbers an observation and {n_primitive} primitive actions"
-    if "table_states" in arrays and "table_values" in arrays:
+    expected = f"expected {numbers} numbers an observation and {n_primitive} primitive actions, all finite"
+    if "table_states" in arrays:
         states, values = arrays["table_states"], arrays["table_values"]
         fits = states.ndim == 2 and len(states) > 0 and observation_size in (None, states.shape[1])
-        if not fits or values.shape != (len(states), n_primitive):
+        fits = fits and values.shape == (len(states), n_primitive)
+        if not (fits and np.isfinite(states).all() and np.isfinite(values.max(axis=1)).all()):
             raise ValueError(
                 f"its table has observations of shape {states.shape} and values of shape {values.shape}, {expected}"
             )
-        if not (np.isfinite(states).all() and np.isfinite(values.max(axis=1)).all()):
-            raise ValueError(
-                "its table has observations or values that are NaN or infinite, or no value for some state"
-            )
         return TabularPolicy(states, values)
     n_layers = sum(name.startswith("network_weight_") for name in arrays)
-    try:
-        weights = [arrays[f"network_weight_{i}"] for i in range(n_layers)]
-        biases = [arrays[f"network_bias_{i}"] for i in range(n_layers)]
-        mean, std = arrays["network_mean"], arrays["network_std"]
-    except KeyError as missing:
-        raise ValueError(f"its policy lacks the array {missing}") from None
+    weights = [arrays[f"network_weight_{i}"] for i in range(n_layers)]
+    biases = [arrays[f"network_bias_{i}"] for i in range(n_layers)]
+    mean, std = arrays["network_mean"], arrays["network_std"]
     n_inputs = mean.size if observation_size is None else observation_size
     sizes = [n_inputs, *(b.shape[0] if b.ndim == 1 else -1 for b in biases)]
     fits = n_layers > 0 and mean.shape == std.shape == (n_inputs,) and sizes[-1] == n_primitive
-    fits = fits and all(w.shape == (sizes[i], sizes[i + 1]) for i, w in enumerate(weights))
-    if not fits:
+    if not (fits and all(w.shape == (sizes[i], sizes[i + 1]) for i, w in enumerate(weights))):
         raise ValueError(f"its network maps {mean.size} numbers to {sizes[-1]} actions with layers {sizes}, {expected}")
     return NetworkPolicy(mean, std, weights, biases)

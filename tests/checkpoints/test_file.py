@@ -1,15 +1,14 @@
 import errno
-import json
 import tracemalloc
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from safetensors.numpy import save as to_safetensors
 
 from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import BLOCKS, CheckpointFolder, read
+from sb3_options.options.sealed import sealed
 
 SMALL_BLOCKS = 1 << 10
 
@@ -129,11 +128,9 @@ def test_refuses_sizes_beyond_the_blocks_before_memory_is_spent(
     folder = CheckpointFolder(tmp_path)
     file = folder.save(1, {"rows": np.zeros(1 << 18)})
     (name,) = (path.stem for path in (tmp_path / BLOCKS).iterdir())
-    about = json.dumps({"0": {"shape": shape, "dtype": "<f8", "names": [name] * names}})
-    state = json.dumps({"rows": {"$": "array", "array": "0"}})
-    metadata = {"format": checkpoint_file.FORMAT, "state": state, "blocks": about}
-    metadata["digest"] = checkpoint_file._digest(state, about, {})
-    file.write_bytes(to_safetensors({}, metadata=metadata))
+    about = {"0": {"shape": shape, "dtype": "<f8", "names": [name] * names}}
+    parts = {"state": {"rows": {"$": "array", "array": "0"}}, "blocks": about}
+    file.write_bytes(sealed(checkpoint_file.FORMAT, parts, {}))
     tracemalloc.start()
     with pytest.raises(ValueError, match=text):
         read(file)

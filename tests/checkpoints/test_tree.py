@@ -12,6 +12,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
+from sb3_options.options.sealed import DAMAGE
 from sb3_options.state import storable
 
 
@@ -129,5 +130,5 @@ def test_says_what_cannot_be_stored_and_where(value: object, what: str) -> None:
     ids=str,
 )
 def test_refuses_what_encode_does_not_make(content: object) -> None:
-    with pytest.raises(ValueError, match=r"^it is damaged"):
+    with pytest.raises(DAMAGE):
         decode(content, {})

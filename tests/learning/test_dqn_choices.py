@@ -205,7 +205,7 @@ def test_updates_and_epsilon_keep_their_pace_by_primitive_steps(k: int) -> None:
         buffer_size=5000, exploration_fraction=0.4, exploration_final_eps=0.1, policy_kwargs={"net_arch": []}, seed=0,
     )  # fmt: skip
     model.learn(2000, callback=[PrimitiveStepsCallback(), pace])
-    decisions = model._n_calls
+    decisions = len(pace.rates)
     assert decisions == model.num_timesteps if k == 1 else decisions < 0.9 * model.num_timesteps
     assert abs(model._n_updates - model.num_timesteps) <= k  # the first decision is not trained on
     assert abs(len(pace.targets) - model.num_timesteps // 100) <= 1

@@ -194,16 +194,13 @@ def test_equals_the_stock_buffer_without_options(rng: np.random.Generator, monke
         ours.add(obs, ended, actions, rewards, dones, infos)
         stock.add(obs, ended, actions, rewards, dones, infos)
         obs = next_obs
-    taken_over = OptionReplayBuffer.from_stock(stock, spaces.Discrete(4), GAMMA)
-    assert taken_over.n_steps == 3
-    for rows in (ours, taken_over):
-        mine = cast("OptionReplayBufferSamples", rows._get_samples(np.arange(180)))
-        for env in range(3):
-            with monkeypatch.context() as patch:
-                patch.setattr(np.random, "randint", lambda *_, size, env=env: np.full(size, env))
-                theirs = stock._get_samples(np.arange(60))
-            for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):
-                np.testing.assert_allclose(getattr(mine, name)[env::3], getattr(theirs, name), atol=1e-6, err_msg=name)
+    mine = cast("OptionReplayBufferSamples", ours._get_samples(np.arange(180)))
+    for env in range(3):
+        with monkeypatch.context() as patch:
+            patch.setattr(np.random, "randint", lambda *_, size, env=env: np.full(size, env))
+            theirs = stock._get_samples(np.arange(60))
+        for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):
+            np.testing.assert_allclose(getattr(mine, name)[env::3], getattr(theirs, name), atol=1e-6, err_msg=name)
 
 
 def test_a_buffer_of_one_option_alone_is_emptied_with_its_successors() -> None:
@@ -217,12 +214,6 @@ def test_a_buffer_of_one_option_alone_is_emptied_with_its_successors() -> None:
     assert buffer._successors is not None
     assert (buffer._successors.following == -1).all()
     assert buffer._successors.newest(0).size == 0
-
-
-@pytest.mark.parametrize("n", [0, -1])
-def test_needs_at_least_one_decision(n: int) -> None:
-    with pytest.raises(ValueError, match="n_steps must be a whole number of at least 1 decision"):
-        buffer_for(corridors("box"), 10, n)
 
 
 @pytest.mark.parametrize("n_steps", [1, 3])

@@ -19,11 +19,7 @@ from tests.options.banks import N_PRIMITIVE, OBSERVATIONS, behaviour, empty_bank
 from tests.support import processes
 from tests.support.helpers import steady_option
 
-ONE_FEATURE = (
-    "does not fit: the option in slot 0, 'subgoal': its group 'second' names feature 1, the feature map gives 1. "
-    "Discover options on groups that both tasks have, ConceptSettings(groups=...). In MiniGrid what a mission "
-    "asks for is such a group: discover with make(..., asked=False), train.py --env-kwargs asked:False."
-)
+ONE_FEATURE = "does not fit, the option in slot 0, 'subgoal': group 'second' names feature 1, the feature map gives 1."
 
 
 class TestFile:

@@ -17,9 +17,9 @@ import pytest
 from safetensors.numpy import save as to_safetensors
 
 from sb3_options import cli
-from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import FORMAT, CheckpointFolder, read
-from sb3_options.checkpoints.tree import Arrays, encode
+from sb3_options.checkpoints.tree import encode
+from sb3_options.options.sealed import Arrays, digest
 from sb3_options.runs import folder as runs
 
 FLAGS = (
@@ -47,12 +47,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run
 
 
-def packed(state: str, arrays: Arrays | None = None, *, blocks: str = "{}", digest: str | None = None) -> bytes:
+def packed(state: str, arrays: Arrays | None = None, *, blocks: str = "{}", seal: str | None = None) -> bytes:
     """A checkpoint that says this."""
-    arrays = arrays or {}
-    digest = checkpoint_file._digest(state, blocks, arrays) if digest is None else digest
-    about = {"format": FORMAT, "state": state, "blocks": blocks, "digest": digest}
-    content: bytes = to_safetensors(arrays, metadata=about)
+    texts = {"state": state, "blocks": blocks}
+    about = {"format": FORMAT, **texts, "digest": seal or digest(texts, arrays or {})}
+    content: bytes = to_safetensors(arrays or {}, metadata=about)
     return content
 
 
@@ -96,7 +95,7 @@ REFUSED: dict[str, tuple[Make, str]] = {
         lambda _, __: to_safetensors({}, metadata={"format": "sb3-options 1"}),
         "its format is 'sb3-options 1'",
     ),
-    "a wrong digest": (plain("{}", digest="0" * 64), "its contents are not what was written to it"),
+    "a wrong digest": (plain("{}", seal="0" * 64), "its contents are not what was written to it"),
     "no state": (plain("null"), "it holds no state"),
     "a deep state": (plain("[" * 50_000), "is no checkpoint, or it is damaged"),
     "many digits": (plain('{"model": ' + "9" * 5_000 + "}"), "is no checkpoint, or it is damaged"),
@@ -117,7 +116,7 @@ REFUSED: dict[str, tuple[Make, str]] = {
         "The checkpoint is of rollouts of 1000000000000 steps",
     ),
     "a class to make": (plain('{"model": {"$": "os.system", "fields": {}}}'), "it holds a 'os.system', which is not"),
-    "a record of other fields": (plain('{"a": {"$": "Region", "fields": {"command": "ls"}}}'), "it is damaged"),
+    "a record of other fields": (plain('{"a": {"$": "Region", "fields": {"command": "ls"}}}'), "or it is damaged"),
     "a block elsewhere": (plain("{}", blocks=blocks(names=["../../config"])), "is no name of a block"),
     "a block that is not there": (plain("{}", blocks=blocks()), "is no checkpoint, or it is damaged"),
     "no blocks": (plain("{}", blocks=blocks(names=[])), "is no checkpoint, or it is damaged"),
