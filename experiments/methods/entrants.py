@@ -11,10 +11,10 @@ from typing import Any, get_args
 
 from experiments.methods.em_dd import MostLikelyPeaks
 from experiments.methods.filtered import FilteredStates
-from experiments.methods.l_cut import LCut
+from experiments.methods.left_out import LEFT_OUT
 from experiments.methods.tasks import RaceTask, places
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods import CONTROLS, METHODS, DiscoveryMethod, Experience, Method, MethodName
+from sb3_options.discovery.methods import METHODS, DiscoveryMethod, Experience, Method, MethodName
 from sb3_options.discovery.settings import DiscoverySettings
 
 NONE = "none"
@@ -24,14 +24,12 @@ FILTERED = "random-filtered"
 
 EM_DD = "em-dd"
 
-L_CUT = "l-cut"
-
-RACERS: dict[str, Callable[..., Method]] = {**dict(METHODS.items()), L_CUT: LCut}
+RACERS: dict[str, Callable[..., Method]] = {**dict(METHODS.items()), **LEFT_OUT}
 """Make a method beside diverse density."""
 
-ENTRANTS = (*get_args(MethodName), L_CUT, EM_DD, HAND_MADE, NONE)
-"""Of `MethodName`; ``l-cut``; ``em-dd``: one instance speaks for each bag; ``hand-made``: the bottlenecks themselves;
-``none``: primitives."""
+ENTRANTS = (*get_args(MethodName), *LEFT_OUT, EM_DD, HAND_MADE, NONE)
+"""Of `MethodName`; those that the library leaves out; ``em-dd``: one instance speaks for each bag; ``hand-made``: the
+bottlenecks themselves; ``none``: primitives."""
 
 POSSIBLE = (*ENTRANTS, FILTERED)
 """``random-filtered``: states drawn from diverse density's bags; it takes part where it is named."""
@@ -97,7 +95,7 @@ def discovery_of(
         seed: Of the controls' draws.
     """
     if entrant in RACERS:
-        drawn = {"seed": seed} if entrant in CONTROLS else {}
+        drawn = {"seed": seed} if entrant == "random" else {}
         return DiscoverySettings(**task.discovery), RACERS[entrant](**changed, **drawn)
     if entrant == HAND_MADE:
         return DiscoverySettings(**task.discovery), GivenPlaces(places(task))

@@ -9,6 +9,7 @@ import networkx as nx
 import numpy as np
 
 from experiments.common.gridworlds import cell_of, distance_to_doorway, rooms_of, world_of
+from experiments.methods.left_out import TOLERANCE
 from experiments.published.graphs import (
     climbed,
     cover_time,
@@ -22,7 +23,6 @@ from experiments.published.graphs import (
 from experiments.published.learning import MOST, moves_of, steps_to_learn, tasks_of
 from experiments.random_walks.conditions import run, walk
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.methods.graphs import TOLERANCE
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from sb3_options.discovery.settings import DiscoverySettings
 

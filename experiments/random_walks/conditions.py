@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.common.gridworlds import NEAR, world_of
 from experiments.common.seeds import Result
-from experiments.methods.l_cut import LCut
+from experiments.methods.left_out import LEFT_OUT
 from experiments.random_walks.maps import random_map
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
@@ -121,8 +121,9 @@ def run(task: str, changed: dict[str, Any], seed: int, n_episodes: int | None = 
     """
     world, rng = world_for(task, seed), np.random.default_rng(seed)
     seen = Positions(world, noise, seed)
-    own = LCut() if changed.get("method") == "l-cut" else None  # which the library does not have
-    settings = DiscoverySettings(**{name: value for name, value in changed.items() if own is None or name != "method"})
+    name = changed.get("method")
+    own = LEFT_OUT[name]() if name in LEFT_OUT else None
+    settings = DiscoverySettings(**{key: value for key, value in changed.items() if own is None or key != "method"})
     discovery = Discovery(settings, own, kind="environment")
     found: list[dict[str, Any]] = []
     instances: FloatArray = np.zeros((0, 2))

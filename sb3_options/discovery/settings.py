@@ -12,14 +12,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import RewardPeaks
 
-MethodName = Literal[
-    "diverse-density",
-    "first-visits",
-    "every-visit",
-    "relative-novelty",
-    "betweenness",
-    "random",
-]
+MethodName = Literal["diverse-density", "first-visits", "relative-novelty", "random"]
 """Names of the methods of discovery."""
 
 

@@ -17,9 +17,8 @@ from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import read
 from sb3_options.checkpoints.tree import State
 from sb3_options.discovery.methods import DiscoveryMethod
-from sb3_options.discovery.methods.graphs import Betweenness
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
+from sb3_options.discovery.methods.visits import FirstVisits, RandomPlaces
 from sb3_options.learning.dqn import OptionDQN
 from sb3_options.learning.macro_q import MacroQ
 from tests.integration.test_algorithms import ALGORITHMS, GAMMA, OFF_POLICY
@@ -181,14 +180,13 @@ def test_evaluations(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("keep_all")
 @pytest.mark.parametrize(
     "make",
-    [VisitFrequency, RelativeNovelty, Betweenness, RandomPlaces],
+    [FirstVisits, RelativeNovelty, RandomPlaces],
 )
 def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Path) -> None:
     """Settings with which each makes an option in these few steps."""
     soon: dict[Any, dict[str, Any]] = {
-        VisitFrequency: {"min_successes": 2, "threshold": 0.1},
+        FirstVisits: {"min_successes": 2, "threshold": 0.1},
         RelativeNovelty: {"lag": 2, "threshold": 1.0, "odds": 1.0},
-        Betweenness: {"min_seen": 2, "min_share": 0.1},
         RandomPlaces: {"min_successes": 4},
     }
     callbacks, _ = check_resumes(

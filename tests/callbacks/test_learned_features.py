@@ -209,7 +209,7 @@ def test_cut_and_resumed_is_never_interrupted(
             r"^A learned feature map moves .*leave policy_input at 'ob",
         ),
         (
-            {"method": "betweenness"},
+            {"method": "random"},
             r"^A learned feature map moves .* pass OptionsWrapper\(feature_map=\.\.\.\) a funct",
         ),
         (

@@ -9,8 +9,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback, load_checkpoint
 from sb3_options.checkpoints.file import read
 from sb3_options.discovery.methods import DiscoveryMethod
-from sb3_options.discovery.methods.graphs import Betweenness
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
+from sb3_options.discovery.methods.visits import RandomPlaces
 from tests.callbacks.test_checkpoint_resuming import Callbacks, discovering, model_of, venv_of
 from tests.support.sb3_helpers import optioned_rooms
 
@@ -73,18 +73,18 @@ class TestLoadCheckpoint:
         ("method", "text"),
         [
             (
-                RelativeNovelty(),
-                r"with method class='Betweenness' of SubgoalDiscoveryCallback, and here it is 'Relative",
+                RandomPlaces(),
+                r"with method class='RelativeNovelty' of SubgoalDiscoveryCallback, and here it is 'Random",
             ),
-            (None, r"with method class='Betweenness' of SubgoalDiscoveryCallback, and here it is 'NoneType'"),
+            (None, r"with method class='RelativeNovelty' of SubgoalDiscoveryCallback, and here it is 'NoneType'"),
             (
-                Betweenness(min_share=0.9),
-                r"with method min_share=0\.5 of SubgoalDiscoveryCallback, and here it is 0\.9",
+                RelativeNovelty(lag=9),
+                r"with method lag=7 of SubgoalDiscoveryCallback, and here it is 9",
             ),
         ],
     )
     def test_refuses_another_method(self, method: DiscoveryMethod, text: str, tmp_path: Path) -> None:
-        made = SubgoalDiscoveryCallback(method=Betweenness())
+        made = SubgoalDiscoveryCallback(method=RelativeNovelty())
         model_of("PPO", venv_of()).learn(64, [made, CheckpointCallback(tmp_path)])
         model, other = (
             model_of("PPO", venv_of()),

@@ -153,7 +153,7 @@ class TestSchedule:
         assert discovery.diary.skipped > 0
         assert discovery.diary.spent < 0.1 * SHORTEST * STEP_SECONDS
 
-    @pytest.mark.parametrize("method", ["diverse-density", "betweenness"])
+    @pytest.mark.parametrize("method", ["diverse-density", "relative-novelty"])
     def test_where_searches_are_cheap_none_is_left_out(self, method: str) -> None:
         assert run("FourRooms", {"method": method}, 0) | {"seconds": 0} == run(
             "FourRooms", {"method": method, "max_share": None}, 0

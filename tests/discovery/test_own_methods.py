@@ -11,7 +11,7 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import SHORTEST, TABLE_STEP_SECONDS
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import Experience
-from sb3_options.discovery.methods.graphs import Betweenness
+from sb3_options.discovery.methods.visits import RandomPlaces
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.state import state_of
 from tests.discovery.told import Told, line, of
@@ -167,7 +167,7 @@ def test_answers_that_are_no_proposals_are_refused(answer: object) -> None:
     ("method", "message"),
     [
         (42, "got 42"),
-        (Betweenness, "got <class"),
+        (RandomPlaces, "got <class"),
         (lambda _: [], "got <function"),
     ],
 )

@@ -9,8 +9,8 @@ from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import Experience
 from sb3_options.discovery.methods.candidates import PLACE_SECONDS
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
-from sb3_options.discovery.methods.graphs import Betweenness
-from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
+from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
+from sb3_options.discovery.methods.visits import FirstVisits, RandomPlaces
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.state import restore, state_of
 from tests.discovery.told import Told, line, of
@@ -88,15 +88,15 @@ def test_without_distances_spacing_counts_steps() -> None:
 
 
 def test_settings_name_a_method() -> None:
-    discovery = Discovery(DiscoverySettings(method="betweenness"))
-    assert isinstance(discovery.method, Betweenness)
+    discovery = Discovery(DiscoverySettings(method="relative-novelty"))
+    assert isinstance(discovery.method, RelativeNovelty)
     assert isinstance(Discovery().method, PersistentPeaks)
 
 
 def test_groups_are_for_diverse_density() -> None:
     groups = [FeatureGroup("all", (0,))]
-    with pytest.raises(ValueError, match=r"^Betweenness works on all features together, .*groups=\(\)"):
-        Discovery(DiscoverySettings(method="betweenness"), groups=groups)
+    with pytest.raises(ValueError, match=r"^RelativeNovelty works on all features together, .*groups=\(\)"):
+        Discovery(DiscoverySettings(method="relative-novelty"), groups=groups)
 
 
 def test_why_nothing_names_the_method() -> None:
@@ -109,14 +109,14 @@ def test_why_nothing_names_the_method() -> None:
 
 def test_why_nothing_tells_of_successes_where_the_method_needs_them(caplog: pytest.LogCaptureFixture) -> None:
     """A method that needs none is not said to lack them."""
-    graph, visits = of(Betweenness()), of(VisitFrequency())
-    for discovery in (graph, visits):
+    novelty, visits = of(RelativeNovelty()), of(FirstVisits())
+    for discovery in (novelty, visits):
         for _ in range(20):
             discovery.add(*line(success=False))
             discovery.search()
     (said,) = [record.getMessage() for record in caplog.records]
     assert said.startswith("Discovery waits for a success: there was none in the first 20 episodes.")
-    assert "Betweenness proposed none" in graph.why_nothing()
+    assert "RelativeNovelty proposed none" in novelty.why_nothing()
     assert "no success in 20 episodes" in visits.why_nothing()
 
 
@@ -170,12 +170,11 @@ def test_what_waits_for_the_method_keeps_to_the_memory_too(monkeypatch: pytest.M
 
 
 def test_what_it_takes_grows_with_the_places_remembered() -> None:
-    method = Betweenness()
-    discovery = of(method)
+    discovery = of(RelativeNovelty(lag=2))
     spent = [0.0]
     for start in (0, 100, 200):
         trajectory, states = line()
         discovery.add(trajectory, states + start)
         discovery.search()
         spent.append(discovery.diary.spent)
-    assert np.diff(spent, 2) == pytest.approx([12 * PLACE_SECONDS] * 2)
+    assert np.diff(spent, 2) == pytest.approx([8 * PLACE_SECONDS] * 2)

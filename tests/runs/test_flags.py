@@ -130,13 +130,14 @@ def test_the_algorithm_comes_first_in_any_case(args: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "words", [["--method", "betweenness"], ["--method=betweenness"], ["--discovery.method", "betweenness"]]
+    "words",
+    [["--method", "first-visits"], ["--method=first-visits"], ["--discovery.method", "first-visits"]],
 )
 def test_the_method_of_discovery(words: list[str], tmp_path: Path) -> None:
     expected = parse(words)
-    assert expected.discovery.method == "betweenness"
+    assert expected.discovery.method == "first-visits"
     path = tmp_path / "config.yml"
-    for text in ("method: betweenness\n", "discovery:\n  method: betweenness\n"):
+    for text in ("method: first-visits\n", "discovery:\n  method: first-visits\n"):
         path.write_text(text)
         assert parse(["--config", str(path)]) == expected
         assert parse(["--config", str(path), "--method", "random"]).discovery.method == "random"

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
-from sb3_options.discovery.methods.graphs import Betweenness
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.discovery.methods.method import (
     DiscoveryMethod,
@@ -17,33 +15,27 @@ from sb3_options.discovery.methods.method import (
     checked_method,
 )
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
+from sb3_options.discovery.methods.visits import FirstVisits, RandomPlaces
 from sb3_options.discovery.settings import MethodName
 
 METHODS: dict[MethodName, Callable[..., Method]] = {
-    "first-visits": VisitFrequency,
-    "every-visit": partial(VisitFrequency, "every"),
+    "first-visits": FirstVisits,
     "relative-novelty": RelativeNovelty,
-    "betweenness": Betweenness,
     "random": RandomPlaces,
 }
 """Makes a method beside diverse density, by its name."""
 
-CONTROLS: frozenset[MethodName] = frozenset({"random"})
-"""Those that draw at random."""
-
 
 def method_with(name: MethodName, given: DiscoveryMethod | None, *, grouped: bool, seed: int) -> Method:
-    """The given method, which may be a user's own, or the named one; ``seed`` is for the controls."""
+    """The given method, which may be a user's own, or the named one; ``seed`` is for ``random``."""
     if given is not None:
         return given if isinstance(given, Method) else OwnMethod(given)
     if name == "diverse-density":
         return GroupedPeaks() if grouped else PersistentPeaks()
-    return METHODS[name](seed=seed) if name in CONTROLS else METHODS[name]()
+    return RandomPlaces(seed=seed) if name == "random" else METHODS[name]()
 
 
 __all__ = [
-    "CONTROLS",
     "METHODS",
     "DiscoveryMethod",
     "Experience",

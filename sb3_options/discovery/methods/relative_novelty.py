@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field, validate_call
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import CandidateMethod, more_likely
+from sb3_options.discovery.methods.candidates import CandidateMethod
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
@@ -39,9 +39,12 @@ class RelativeNovelty(CandidateMethod):
     ) -> None:
         if p_target <= p_other:
             raise ValueError(f"p_target must be above p_other, got {p_target} and {p_other}.")
-        self.lag, self.threshold = lag, threshold
-        self.p_target, self.p_other, self.odds = p_target, p_other, odds
-        super().__init__(more_likely(p_target, p_other, odds))
+        super().__init__()
+        self.lag = lag
+        self.threshold = threshold
+        self.p_target = p_target
+        self.p_other = p_other
+        self.odds = odds
 
     def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""
@@ -51,6 +54,13 @@ class RelativeNovelty(CandidateMethod):
         seen = np.bincount(places.visits[times], minlength=k)
         hits = np.bincount(places.visits[times[relative > self.threshold]], minlength=k)
         return self._counted(experience, seen, hits)
+
+    def _accepted(self, seen: FloatArray, hits: FloatArray) -> FloatArray:
+        """By how much the logarithm of the likelihood ratio exceeds that of the odds."""
+        target, other = self.p_target, self.p_other
+        evidence = hits * np.log(target / other) + (seen - hits) * np.log((1 - target) / (1 - other))
+        margin: FloatArray = evidence - np.log(self.odds)
+        return margin
 
 
 def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:

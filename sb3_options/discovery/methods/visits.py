@@ -1,47 +1,47 @@
-"""Visit frequencies, and a control: random places."""
+"""Frequencies of first visits, and a control: random places."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, validate_call
 
 from sb3_options.density.regions import Region
-from sb3_options.discovery.methods.candidates import PLACE_SECONDS, Candidates
+from sb3_options.discovery.methods.candidates import CandidateMethod
 from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
-from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.observations import FloatArray, IntArray
 
 
-class VisitFrequency(Method):
-    """McGovern & Barto (2001), §3: the place that successful trajectories visit most.
+class FirstVisits(CandidateMethod):
+    """McGovern & Barto (2001), §3: the place that most successful trajectories visit.
 
     It must persist: its running average (their §5) must exceed a share of its limit.
 
     Args:
-        count: The ``first`` visit of a place in a trajectory, or ``every`` one.
         decay: λ of the running averages.
-        threshold: Annotated[float, Field(gt=0, lt=1)] of the limit λ/(1−λ).
+        threshold: Share of the limit λ/(1−λ).
         min_successes: Successful trajectories before the first place counts.
         radius: Places within this distance of each other are one, in scaled units.
     """
 
-    STATE = ("_successes", "_visited", "_tracker")
+    STATE = ("_successes", "_tracker")
 
     needs_success = True
 
     @validate_call
     def __init__(
         self,
-        count: Literal["first", "every"] = "first",
         *,
         decay: Annotated[float, Field(gt=0, lt=1)] = 0.75,
         threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6,
         min_successes: Annotated[int, Field(ge=1)] = 4,
         radius: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.5,
     ) -> None:
-        self.count, self.min_successes, self.radius = count, min_successes, radius
-        self.decay, self.threshold = decay, threshold
-        self._visited = Candidates(_most)
+        super().__init__()
+        self.decay = decay
+        self.threshold = threshold
+        self.min_successes = min_successes
+        self.radius = radius
         self._tracker = PeakTracker(decay=decay, threshold=threshold, radius=radius)
         self._successes = 0
 
@@ -51,8 +51,7 @@ class VisitFrequency(Method):
             return []
         self._successes += 1
         visits = np.bincount(experience.places.visits)
-        self._visited.add(experience, visits, np.ones_like(visits) if self.count == "first" else visits)
-        most = self._visited.proposals(experience)
+        most = self._counted(experience, visits, self._hits(visits))
         if self._successes < self.min_successes or not most:
             return []
         points = np.array([region.points[0] for region in most[: MOST_TIED + 1]])
@@ -62,16 +61,19 @@ class VisitFrequency(Method):
         self._tracker.update(centres, experience.scale)
         return [experience.region(concept.point) for concept in self._tracker.persistent()]
 
+    def _hits(self, visits: IntArray) -> IntArray:
+        """What counts of how often a trajectory visited each place, (k,)."""
+        return np.ones_like(visits)
+
+    def _accepted(self, seen: FloatArray, hits: FloatArray) -> FloatArray:
+        """The most visited places, ties included."""
+        del seen
+        most: FloatArray = (hits == hits.max()).astype(np.float64)
+        return most
+
     def seconds(self, experience: Experience) -> float:
         """Nominal time of an update."""
-        return PLACE_SECONDS * len(self._visited) if experience.success else 0.0
-
-
-def _most(seen: FloatArray, hits: FloatArray) -> FloatArray:
-    """Accept the most visited places, ties included."""
-    del seen
-    accepted: FloatArray = (hits == hits.max()).astype(np.float64)
-    return accepted
+        return super().seconds(experience) if experience.success else 0.0
 
 
 class RandomPlaces(Method):

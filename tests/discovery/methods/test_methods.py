@@ -10,11 +10,9 @@ import pytest
 
 from experiments.random_walks.conditions import is_bottleneck, run, world_for
 from sb3_options.discovery.methods import METHODS, MethodName
-from sb3_options.discovery.methods.candidates import Candidates, more_likely, often_enough
-from sb3_options.discovery.methods.graphs import Betweenness, local_maxima
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
-from sb3_options.discovery.methods.visits import RandomPlaces, VisitFrequency
+from sb3_options.discovery.methods.visits import FirstVisits, RandomPlaces
 from sb3_options.discovery.peaks import MOST_TIED
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
@@ -99,40 +97,9 @@ class TestRelativeNovelty:
         assert RelativeNovelty().update(lived_through(np.repeat(told.features, 3, axis=1), told.visits)) == []
 
 
-class TestGraphs:
-    def test_local_maxima_are_those_of_networkx(self, rng: np.random.Generator) -> None:
-        places = dumbbell(rng).places
-        (bridge,) = local_maxima(places.visits)
-        assert places.points[bridge].tolist() == [5.0]
-
-    def test_ties_are_no_maxima(self) -> None:
-        assert local_maxima(np.array([0, 1, 2, 3, 0])).tolist() == []  # a ring
-        assert local_maxima(np.array([0, 0, 0])).tolist() == []
-
-    def test_the_bridge_is_proposed_when_it_was_seen_often_enough(self, rng: np.random.Generator) -> None:
-        method = Betweenness(min_seen=5)
-        proposed = [method.update(dumbbell(rng)) for _ in range(8)]
-        assert proposed[:4] == [[]] * 4
-        near = {float(region.points[0, 0]) for region in proposed[-1]}
-        assert near
-        assert near <= {4.0, 5.0, 6.0}
-
-    def test_a_place_that_may_be_no_subgoal_is_not_proposed(self, rng: np.random.Generator) -> None:
-        method = Betweenness(min_seen=2)
-        for _ in range(4):
-            lived = dumbbell(rng)
-            others = lived_through(lived.features, lived.visits, allowed=lived.features[:, 0] != 5.0)
-            assert method.update(others) == []
-
-    def test_only_the_last_transitions_count(self) -> None:
-        method = Betweenness(horizon=2, min_seen=1)
-        (region,) = method.update(experience([9, 8, 7, 1, 2, 3]))
-        assert region.points[0].tolist() == [2.0]
-
-
 class TestVisits:
     def test_the_place_that_most_successes_visit(self) -> None:
-        method = VisitFrequency(min_successes=3)
+        method = FirstVisits(min_successes=3)
         proposed: list[list[float]] = []
         for i in range(40):
             way = [10 * (i % 7) + 200, 5, 10 * (i % 5) + 400]
@@ -141,27 +108,17 @@ class TestVisits:
         assert proposed[0] == []
         assert proposed[-1] == [5.0]
 
-    def test_every_visit_counts_returns(self) -> None:
-        back_and_forth = [200, 5, 300, 400, 300, 400, 300, 400]
-        found = {}
-        for count in ("first", "every"):
-            method = VisitFrequency(count, min_successes=1)
-            for i in range(30):
-                others = [100 + i, *back_and_forth, 500 + i]
-                last = method.update(experience([*others, 5] if count == "first" else others))
-            found[count] = [float(region.points[0, 0]) for region in last]
-        assert set(found["every"]) <= {300.0, 400.0}
-        assert 5.0 in found["first"] or len(found["first"]) > 1
+    def test_returns_do_not_count(self) -> None:
+        method = FirstVisits(min_successes=1)
+        for i in range(30):
+            last = method.update(experience([100 + i, 200, 5, 300, 400, 300, 400, 300, 400, 500 + i, 5]))
+        assert 5.0 in [float(region.points[0, 0]) for region in last]
 
 
 class TestRules:
-    def test_often_enough(self) -> None:
-        accepted = often_enough(10, 0.2)(np.array([9.0, 10.0, 10.0]), np.array([9.0, 2.0, 3.0])) > 0
-        assert accepted.tolist() == [False, False, True]
-
     def test_more_likely_is_the_likelihood_ratio(self) -> None:
         p, q, odds = 0.3, 0.1, 5.0
-        accept = more_likely(p, q, odds)
+        accept = RelativeNovelty(p_target=p, p_other=q, odds=odds)._accepted
         for n in (1, 10, 40):
             for k in range(n + 1):
                 ratio = p**k * (1 - p) ** (n - k) / (q**k * (1 - q) ** (n - k))
@@ -169,13 +126,11 @@ class TestRules:
 
     def test_memory_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("sb3_options.discovery.methods.candidates.MAX_PLACES", 3)
-        candidates = Candidates(lambda seen, hits: seen)
+        method = FirstVisits()
         for visits in ([0, 1], [0, 2, 3], [4]):
-            lived = experience(visits)
-            once = np.ones(len(visits), dtype=np.int64)
-            candidates.add(lived, once, once)
-        assert [float(r.points[0, 0]) for r in candidates.proposals(lived)] == [0.0, 1.0, 2.0]
-        assert candidates.get_state()["counts"].tolist() == [[2, 2, 1], [1, 1, 1], [1, 1, 1]]
+            method.update(experience(visits))
+        assert method._points.ravel().tolist() == [0.0, 1.0, 2.0]
+        assert method._counts.tolist() == [[2, 2, 1], [1, 1, 1], [1, 1, 1]]
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -189,22 +144,17 @@ def test_every_method_proposes_regions_around_what_was_seen(name: MethodName, rn
             assert region.points[0, 0] in lived.features
 
 
-@pytest.mark.parametrize("name", ["l-cut", "betweenness"])
-def test_graph_methods_find_the_doorway_of_two_rooms_from_random_walks(name: str) -> None:
-    found = run("TwoRooms", {"method": name}, seed=0, n_episodes=14)["found"]
-    assert len(found) == 1
-    assert is_bottleneck(world_for("TwoRooms", 0), found[0]["point"])
+def test_relative_novelty_finds_the_doorway_of_two_rooms_from_random_walks() -> None:
+    first, *_ = run("TwoRooms", {"method": "relative-novelty"}, seed=0, n_episodes=14)["found"]
+    assert is_bottleneck(world_for("TwoRooms", 0), first["point"])
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Betweenness(horizon=1), "horizon\n.*greater than or equal to 2"),
-        (lambda: Betweenness(min_share=1.0), "min_share\n.*less than 1"),
         (lambda: RelativeNovelty(p_target=0.1, p_other=0.2), "p_target must be above p_other"),
         (lambda: RelativeNovelty(odds=math.inf), "odds\n.*finite"),
-        (lambda: VisitFrequency("evry"), "'first' or 'every'"),  # type: ignore[arg-type]
-        (lambda: VisitFrequency(threshold=1), "threshold\n.*less than 1"),
+        (lambda: FirstVisits(threshold=1), "threshold\n.*less than 1"),
         (lambda: RandomPlaces(min_successes=0), "min_successes\n.*greater than or equal to 1"),
     ],
 )
@@ -215,7 +165,7 @@ def test_arguments_out_of_range_are_refused_by_name(make: Callable[[], object], 
 
 def test_thousands_of_places_that_nobody_visits_twice_are_no_subgoals() -> None:
     """Nothing recurs; to compare them all would take seconds after each success."""
-    method = VisitFrequency(min_successes=1)
+    method = FirstVisits(min_successes=1)
     for i in range(8):
         assert method.update(experience(np.arange(i * 400, (i + 1) * 400))) == []
     assert len(method._tracker.concepts) <= MOST_TIED
