@@ -7,7 +7,7 @@ ARGS ?=
 
 .PHONY: train paper test test-slow docs lint check format architecture upgrade clean
 
-train: $(TRAINS)  ## Show the gain: discover an option, move the goal, train with it and without; ARGS="--video"
+train: $(TRAINS)  ## Show the gain: discover an option, move the goal, train with it and without; ARGS="key"
 	$(BIN)/python train.py demo $(ARGS)
 
 paper: $(READY)  ## The paper's gridworld figures, 30 runs each, into out/paper

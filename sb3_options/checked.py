@@ -7,6 +7,7 @@ the same class.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
@@ -22,7 +23,7 @@ from sb3_options.state import storable
 T = TypeVar("T")
 
 
-@dataclass_transform(frozen_default=True)
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def settings(cls: type[T]) -> type[T]:
     """A frozen dataclass whose constructor refuses what its fields' types and ranges exclude.
 
@@ -74,6 +75,8 @@ def _readable(error: Any, names: Sequence[str]) -> str:
     first = names[first] if isinstance(first, int) and first < len(names) else first
     name = ".".join(map(str, [first, *rest]))
     message = str(error["msg"])
+    if error["type"] == "missing":
+        return f"{name} is missing"
     if error["type"] == "unexpected_keyword_argument":
         return f"there is no setting {name!r}"
     if error["type"] == "value_error":  # of a __post_init__, which has its own words

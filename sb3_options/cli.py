@@ -9,18 +9,19 @@ import importlib
 import inspect
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
 
-import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from sb3_options.extras import how_to_install
 from sb3_options.runs import config as configs
+from sb3_options.runs import yaml_file
 from sb3_options.runs.commands import CompareConfig, DemoConfig, EvaluateConfig, InspectConfig, ResumeConfig, TuneConfig
 from sb3_options.runs.config import FIELDS, GROUPS, IMPORTING, TrainConfig, flag, program
 
@@ -46,7 +47,7 @@ COMMANDS: dict[str, tuple[type[Any], str]] = {
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one. Or --version.
   [train] ALGORITHM maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
                     qrdqn, optiondqn
-  demo              shows the gain in two minutes: a picture, a film (--video)
+  demo              shows the gain in two minutes
   evaluate RUN      plays a run again; `resume RUN` goes on with one
   compare RUN ...   sets runs side by side; `options RUN` shows its options
   --config FILE     reads settings, flags win over it; `tune FILE` searches them
@@ -64,12 +65,12 @@ def main(args: Sequence[str] | None = None) -> None:
     status = USAGE
     settings: Any
     try:
-        target = "training:train"
         if command in COMMANDS:
-            of, target = COMMANDS[command]
-            settings = tyro.cli(of, prog=f"{program()} {command}", args=args[1:])
+            settings = parse_command(command, args[1:])
+            target = COMMANDS[command][1]
         else:
-            settings = parse(args[1:] if command == "train" else args, program())
+            settings = parse(args[1:] if command == "train" else args)
+            target = "training:train"
         status = 1
         module, _, name = target.partition(":")
         run = getattr(importlib.import_module(f"sb3_options.runs.{module}"), name)
@@ -103,86 +104,154 @@ def _stop(error: BaseException, text: str, status: int) -> NoReturn:
     sys.exit(status)
 
 
-def parse(args: Sequence[str], prog: str = "train.py") -> TrainConfig:
+def parse(args: Sequence[str]) -> TrainConfig:
     """The configuration that a command line describes: a flag is a line of a file of settings."""
-    word, rest = (args[0], args[1:]) if args and not args[0].startswith("-") else (None, args)
-    if word is not None:
-        configs.check_algo(word.lower())  # a mistyped command is no algorithm
-    flags = _flags(["--help" if each == "-h" else each for each in rest])
-    if "version" in flags:
+    words, flags = _split(args)
+    if len(words) > 1:
+        raise ValueError(f"{words[1]!r} is no flag: one algorithm is trained at a time, and flags begin with --.")
+    if words:
+        configs.check_algo(words[0].lower(), COMMANDS)  # a mistyped command is no algorithm
+    asked = dict(_value(name, texts, _type_of(name)) for name, texts in flags.items())
+    if "version" in asked:
         print(f"sb3-options {version('sb3-options')}")
         sys.exit()
-    file, section, asked = flags.pop("config", None), flags.pop("help", None), flags.pop("algo", word)
-    trusted = {name: flags[name] for name in IMPORTING if name in flags}
+    file = asked.pop("config", None)
+    section = asked.pop("help", None)
+    algo = asked.pop("algo", words[0] if words else None)
+    trusted = {name: asked[name] for name in IMPORTING if name in asked}
     values: dict[str, Any] = {}
     if file is not None:
         values = configs.read(Path(file) / configs.CONFIG if Path(file).is_dir() else Path(file), trusted)
-    if asked is not None:
-        asked = asked.lower()
-        if values.get("algo", asked) != asked:
+    if algo is not None:
+        algo = algo.lower()
+        if values.get("algo", algo) != algo:
             values = {name: value for name, value in values.items() if name in FIELDS and name not in configs.OWN}
-        values["algo"] = asked
+        values["algo"] = algo
     if section is not None:
-        _show_help(configs.build(values | trusted, prog), section, prog)
+        _show_help(configs.build(values | trusted, program()), section)
     if file is not None:
         configs.build(values, file)  # what is wrong with the file is told of the file
-    flags |= configs.keywords_of(flags.pop("algo_kwargs", {}))
-    return configs.build(values | flags, prog)
+    return configs.build(values | asked, program())
 
 
-def _flags(words: Sequence[str]) -> dict[str, Any]:
-    """Settings of a command line by their names: ``--n-steps 64``, ``--no-discover``, ``--net-arch=64``."""
-    found: dict[str, list[str]] = {}
+def parse_command(command: str, args: Sequence[str]) -> Any:
+    """The settings of one of the `COMMANDS`; words before the first flag are its first setting."""
+    of = COMMANDS[command][0]
+    fields = of.__dataclass_fields__
+    first = next(name for name, field in fields.items() if not field.kw_only)
+    words, flags = _split(args)
+    if "help" in flags:
+        _show_help_of(command, first)
+    if words:
+        flags[first] = words
+    if len(words) > 1 and not fields[first].type.startswith("tuple"):
+        raise ValueError(f"{command} takes one {first.upper()}, got {' '.join(words)}.")
+    for name in flags.keys() - fields.keys():
+        raise ValueError(f"{command}: there is no setting {name!r}.{configs.near(name, {n: n for n in fields})}")
+    try:
+        return of(**dict(_value(name, texts, fields[name].type) for name, texts in flags.items()))
+    except ValueError as error:
+        raise ValueError(f"{command}: {str(error).removeprefix(f'{of.__name__}: ')}") from None
+
+
+def _split(words: Sequence[str]) -> tuple[list[str], dict[str, list[str]]]:
+    """The words before the first flag, and the texts of each flag: ``--n-steps 64``, ``--net-arch=64``."""
+    leading: list[str] = []
+    flags: dict[str, list[str]] = {}
+    texts = leading
     for word in words:
-        if word.startswith("--"):
+        if word.startswith("--") or word == "-h":
             name, equals, value = word.removeprefix("--").partition("=")
-            key = name.replace("-", "_")
-            found[key] = [value] if equals else []
-        elif not found:
-            raise ValueError(f"{word!r} is no flag: one algorithm is trained at a time, and flags begin with --.")
+            texts = [value] if equals else []
+            flags["help" if word == "-h" else name.replace("-", "_")] = texts
         else:
-            found[key].append(word)
-    return dict(_value(name, texts) for name, texts in found.items())
+            texts.append(word)
+    return leading, flags
 
 
-def _value(name: str, texts: list[str]) -> tuple[str, Any]:
+def _type_of(name: str) -> str:
+    """The annotation of a setting of `TrainConfig`; empty for an argument of the algorithm."""
+    group, _, inner = name.rpartition(".")
+    annotations = GROUPS.get(group, TrainConfig).__annotations__
+    return str(annotations.get(inner, annotations.get(inner.removeprefix("no_"), "")))
+
+
+def _value(name: str, texts: list[str], kind: str) -> tuple[str, Any]:
     """A flag with its value: nothing is a truth value, several are a list."""
-    if name in ("env_kwargs", "algo_kwargs"):
-        return name, texts
+    if kind.startswith("dict"):
+        return name, _keywords(name, texts)
     group, dot, inner = name.rpartition(".")
-    switch = inner.removeprefix("no_")
-    kind = GROUPS.get(group, TrainConfig).__annotations__.get(switch)
     if not texts:
         if kind != "bool" and name not in ("help", "version"):
             raise ValueError(f"{flag(name)} takes a value, or there is no such flag.")
+        switch = inner.removeprefix("no_")
         return f"{group}{dot}{switch}", "short" if name == "help" else switch == inner
-    if texts != ["None"] and (name in ("config", "help") or (kind or "").startswith(("str", "Path"))):
+    if kind.startswith("tuple"):
+        return name, texts
+    if texts != ["None"] and (name in ("config", "help") or kind.startswith(("str", "Path"))):
         return name, " ".join(texts)
-    values = [configs.value_of(text) for text in texts]
+    values = [_read(text) for text in texts]
     return name, values if len(values) > 1 or name == "net_arch" else values[0]
 
 
-def _show_help(default: TrainConfig, section: str, prog: str) -> NoReturn:
+def _keywords(name: str, pairs: Sequence[str]) -> dict[str, Any]:
+    """Pairs ``name:value`` as keyword arguments."""
+    keywords = {}
+    for pair in pairs:
+        key, colon, value = pair.partition(":")
+        if not colon:
+            raise ValueError(f"{flag(name)} takes pairs name:value, got {pair}.")
+        keywords[key] = _read(value)
+    return keywords
+
+
+def _read(text: str) -> Any:
+    """A value read as YAML, so that 3 is a number; None is None."""
+    return None if text == "None" else yaml_file.parse(text)
+
+
+def _show_help(default: TrainConfig, section: str) -> NoReturn:
     """Print the flags of a section with their defaults, and exit: whole texts for a group, else a line for each."""
-    whole = section in GROUPS
-    texts = _texts_of(GROUPS[section] if whole else TrainConfig)
-    values = vars(getattr(default, section) if whole else default)
-    names = [name for name in values if name not in ("algo", *GROUPS)]
-    names = names[: names.index(LAST_IN_SHORT_HELP) + 1] if section == "short" else names
+    grouped = section in GROUPS
+    values = dict(vars(getattr(default, section) if grouped else default))
+    for name in ("algo", "algo_kwargs", *GROUPS):
+        values.pop(name, None)
+    if section == "short":
+        names = list(values)
+        values = {name: values[name] for name in names[: names.index(LAST_IN_SHORT_HELP) + 1]}
+    usage = f"usage: {program()} [ALGORITHM] [--FLAG VALUE ...]\n\n{INTRODUCTION}"
+    _print_help(usage, GROUPS.get(section, TrainConfig), values, f"{section}." if grouped else "", whole=grouped)
+
+
+def _show_help_of(command: str, first: str) -> NoReturn:
+    """Print what a command takes, and exit."""
+    of = COMMANDS[command][0]
+    about = inspect.cleandoc(of.__doc__ or "").partition("\n\nAttributes:")[0]
+    usage = f"usage: {program()} {command} {first.upper()} [--FLAG VALUE ...]\n\n{about}\n"
+    values = {name: field.default for name, field in of.__dataclass_fields__.items()}
+    _print_help(usage, of, values, whole=True)
+
+
+def _print_help(usage: str, of: type[Any], values: Mapping[str, Any], prefix: str = "", *, whole: bool) -> NoReturn:
+    texts = _texts_of(of)
     table = Table(box=None, show_header=False, pad_edge=False, expand=True)
     table.add_column(no_wrap=True)
     table.add_column(no_wrap=True, max_width=20)
     table.add_column(no_wrap=not whole, ratio=1)
-    for name in names:
-        words = f"{section}." * whole + "no-" * (values[name] is True) + name.replace("_", "-")
-        value = "" if isinstance(values[name], bool) else str(values[name])
-        table.add_row(f"--{words}", escape(value), escape(texts[name] if whole else texts[name].partition(". ")[0]))
-    Console(highlight=False).print(f"usage: {prog} [ALGORITHM] [--FLAG VALUE ...]\n\n{escape(INTRODUCTION)}", table)
+    for name, value in values.items():
+        words = prefix + "no-" * (value is True) + name.replace("_", "-")
+        shown = "" if isinstance(value, bool) or value is MISSING else str(value)
+        table.add_row(f"--{words}", escape(shown), escape(texts[name] if whole else texts[name].partition(". ")[0]))
+    Console(highlight=False).print(escape(usage), table)
     sys.exit(0)
 
 
 def _texts_of(settings: type[Any]) -> dict[str, str]:
-    """What the docstring of a class of settings says of each."""
-    attributes = inspect.cleandoc(settings.__doc__ or "").partition("Attributes:\n")[2]
-    entries = re.split(r"\n(?=    \w)", attributes)
-    return {name.strip(): " ".join(text.split()) for name, _, text in (entry.partition(": ") for entry in entries)}
+    """What the docstrings of a class of settings and its bases say of each."""
+    texts = {}
+    for of in settings.__mro__:
+        attributes = inspect.cleandoc(of.__doc__ or "").partition("Attributes:\n")[2]
+        for entry in re.split(r"\n(?=    \w)", attributes):
+            name, _, text = entry.partition(": ")
+            texts[name.strip()] = " ".join(text.split())
+    return texts

@@ -74,10 +74,11 @@ def transfer(settings: PioneerSettings, artifacts: Path, seed: int) -> Result:
 def dqn(config: TrainConfig, artifacts: Path, seed: int) -> Result:
     """DQN as `train.py` trains and evaluates it, with its defaults for the robot: with and without discovery."""
     result: Result = {}
-    for name, discover in (("primitive", False), ("discovery", True)):
+    for name, most in (("primitive", 0), ("discovery", config.max_new_options)):
         folder = artifacts / str(seed) / name
         with redirect_stdout(StringIO()):
-            run = train(replace(config, seed=seed, discover=discover, progress=False, tensorboard_log=folder)).folder
+            of_seed = replace(config, seed=seed, max_new_options=most, progress=False, tensorboard_log=folder)
+            run = train(of_seed).folder
             found = evaluate_run(run, episodes=DQN_EVALUATION_EPISODES, seed=EVALUATION_SEED + seed)
         returns, steps, _ = np.loadtxt(run / MONITOR / "0.monitor.csv", delimiter=",", skiprows=2, ndmin=2).T
         result[name] = {

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
+from sb3_options.checked import settings
+from sb3_options.runs.config import Count
 
 EVAL_SEED = 10_000
 """Evaluation environments count their seeds from here, so that none equals a training seed."""
 
 
-@dataclass(frozen=True)
+@settings
 class DemoConfig:
     """Show the gain: discover an option in one task, then learn a harder task with it and without it.
 
@@ -20,22 +21,20 @@ class DemoConfig:
 
     Attributes:
         task: "rooms" and "key" (a locked door) take two minutes, "minigrid" ten.
-        out: Folder for the table, the picture and the film.
+        out: Folder for the table and the picture.
         seeds: Number of repetitions.
         seed: Random seed of the first.
-        video: Film both agents of the first seed side by side.
         progress: Show a progress bar.
     """
 
-    task: Annotated[Literal["rooms", "key", "minigrid"], tyro.conf.Positional] = "rooms"
+    task: Literal["rooms", "key", "minigrid"] = "rooms"
     out: Path = Path("runs/demo")
-    seeds: int = 3
+    seeds: Count = 3
     seed: int = 0
-    video: bool = False
     progress: bool = True
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class Trusting:
     """Settings that import a module: the file of a run is not trusted with them.
 
@@ -45,16 +44,16 @@ class Trusting:
         feature_map: Feature map φ, module:function, where the run had one.
     """
 
-    env: str | None = None
-    env_wrapper: str | None = None
-    feature_map: str | None = None
+    env: str | None = field(default=None, kw_only=True)
+    env_wrapper: str | None = field(default=None, kw_only=True)
+    feature_map: str | None = field(default=None, kw_only=True)
 
     def trusted(self) -> dict[str, str | None]:
         """These settings by name."""
-        return {"env": self.env, "env_wrapper": self.env_wrapper, "feature_map": self.feature_map}
+        return {name: getattr(self, name) for name in Trusting.__annotations__}
 
 
-@dataclass(frozen=True)
+@settings
 class EvaluateConfig(Trusting):
     """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
 
@@ -66,14 +65,14 @@ class EvaluateConfig(Trusting):
         best: Play the best model of --eval-freq, not the last.
     """
 
-    run: Annotated[Path, tyro.conf.Positional]
-    episodes: int = 100
+    run: Path
+    episodes: Count = 100
     seed: int = EVAL_SEED
     video: Path | None = None
     best: bool = False
 
 
-@dataclass(frozen=True)
+@settings
 class ResumeConfig(Trusting):
     """Go on with a run that was killed or interrupted, from its last checkpoint, as if it had never ended.
 
@@ -83,12 +82,12 @@ class ResumeConfig(Trusting):
         progress: Show a progress bar.
     """
 
-    run: Annotated[Path, tyro.conf.Positional]
+    run: Path
     n_timesteps: int | None = None
     progress: bool = True
 
 
-@dataclass(frozen=True)
+@settings
 class CompareConfig:
     """Compare runs, or groups of runs, by their TensorBoard logs: a table and a picture.
 
@@ -100,12 +99,12 @@ class CompareConfig:
             row that have it.
     """
 
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
+    runs: tuple[str, ...]
     out: Path = Path("compare.png")
     reach: str = "success=0.9"
 
 
-@dataclass(frozen=True)
+@settings
 class TuneConfig(Trusting):
     """Search for settings of training with Optuna: a file says what stays (base) and what varies (search).
 
@@ -114,24 +113,20 @@ class TuneConfig(Trusting):
         out: Folder for trials, runs and best.yml. A search in it goes on.
         trials: Sets of settings to try, earlier ones included.
         seeds: Each is run on this many seeds, from 0, or until it proves worse than the best. Judge it on others.
-        objective: "steps": fewest primitive steps to --reach, mean of logarithms; "end": best of the measure of
-            --reach over the last tenth of training.
-        reach: As of ``compare``: success=0.9, return=1.5 or length=40; nothing that runs have from their start.
+        reach: What is to be reached in the fewest primitive steps (mean of logarithms): success=0.9, return=1.5 or
+            length=40; nothing that runs have from their start.
         jobs: Trials at a time.
-        cluster: Train on the Ray cluster at HOST:PORT, or "auto". All machines share the folder.
     """
 
-    space: Annotated[Path, tyro.conf.Positional]
+    space: Path
     out: Path
-    trials: int = 30
-    seeds: int = 3
-    objective: Literal["steps", "end"] = "steps"
+    trials: Count = 30
+    seeds: Count = 3
     reach: str = "success=0.9"
-    jobs: int = 1
-    cluster: str | None = None
+    jobs: Count = 1
 
 
-@dataclass(frozen=True)
+@settings
 class InspectConfig:
     """Show the options of a run folder, an options file or a model.zip, without loading the model.
 
@@ -139,4 +134,4 @@ class InspectConfig:
         file: Which.
     """
 
-    file: Annotated[Path, tyro.conf.Positional]
+    file: Path

@@ -1,4 +1,4 @@
-"""Comparing runs by their TensorBoard logs: success, return and length over primitive steps and wall time."""
+"""Comparing runs by their TensorBoard logs: success, return and length over primitive steps."""
 
 from __future__ import annotations
 
@@ -59,10 +59,9 @@ UNITS: dict[Measure, str] = {"success": "success rate", "return": "return", "len
 
 
 class Curve(NamedTuple):
-    """A measure over training, (n,) each: primitive steps, seconds since the first entry of the log, values."""
+    """A measure over training, (n,) each: primitive steps and values."""
 
     steps: FloatArray
-    seconds: FloatArray
     values: FloatArray
 
 
@@ -93,11 +92,11 @@ class Goal(NamedTuple):
             raise ValueError(f"--reach takes success=0.9 (at most 1), return=1.5 or length=40, not {text!r}.")
         return cls(name, number)  # type: ignore[arg-type]  # checked
 
-    def reached(self, curve: Curve) -> int | None:
-        """Number of the first of two entries in a row that have it; None if there is none."""
+    def reached(self, curve: Curve) -> float | None:
+        """Primitive steps at the first of two entries in a row that have it; None if there is none."""
         wanted = float(np.float32(self.value))  # as TensorBoard keeps numbers: its 0.9 is a little less than 0.9
-        there = curve.values <= wanted if self.measure == "length" else curve.values >= wanted
-        return learned_at(there)
+        at = learned_at(curve.values <= wanted if self.measure == "length" else curve.values >= wanted)
+        return None if at is None else float(curve.steps[at])
 
     def __str__(self) -> str:
         sign = "≤" if self.measure == "length" else "≥"
@@ -123,12 +122,6 @@ def show_comparison(config: CompareConfig, console: Console) -> None:
     console.print(f"Picture: {escape(str(config.out))}")
 
 
-def learned_after(curve: Curve | None, goal: Goal) -> float | None:
-    """Primitive steps at the first of two entries in a row that reach the goal; None if a run never did."""
-    at = None if curve is None else goal.reached(curve)
-    return None if curve is None or at is None else float(curve.steps[at])
-
-
 def read_run(folder: Path) -> Run:
     """Read what a run logged, of this library, of SB3 or of rl-zoo3."""
     files = sorted({file.parent for file in folder.glob(EVENTS)})
@@ -136,12 +129,11 @@ def read_run(folder: Path) -> Run:
         raise FileNotFoundError(f"{folder} has no TensorBoard file, which is where runs are read from.")
     curves: dict[str, dict[Measure, Curve]] = {source: {} for source in TAGS}
     logs = [EventAccumulator(str(each), size_guidance={"scalars": 0}).Reload() for each in files]
-    began = min((log.FirstEventTimestamp() for log in logs if log.Tags()["scalars"]), default=0.0)
     for source, tags in TAGS.items():
         for measure, tag in tags.items():
             events = [event for log in logs if tag in log.Tags()["scalars"] for event in log.Scalars(tag)]
             if events:
-                columns = np.array([(e.step, e.wall_time - began, e.value) for e in events], dtype=np.float64)
+                columns = np.array([(event.step, event.value) for event in events], dtype=np.float64)
                 curves[source][measure] = Curve(*columns[np.argsort(columns[:, 0], kind="stable")].T)
     if not any(curves.values()):
         raise ValueError(f"{folder} logged no returns: it has neither an evaluation nor a training episode that ended.")
@@ -212,10 +204,7 @@ def source_of(runs: Sequence[Run]) -> str:
 
 
 def compared(groups: Mapping[str, Sequence[Run]], goal: Goal | None, source: str) -> dict[str, Numbers]:
-    """The numbers of every group, compared with the first one; all are cut to the shortest run.
-
-    A run that never reaches the goal counts with the budget, and with its whole length in seconds.
-    """
+    """The numbers of every group, compared with the first one; all are cut to the shortest run."""
     everything = [run for runs in groups.values() for run in runs]
     limit = budget(everything, source)
     first: FloatArray | None = None
@@ -223,15 +212,12 @@ def compared(groups: Mapping[str, Sequence[Run]], goal: Goal | None, source: str
     for name, runs in groups.items():
         numbers[name] = {"runs": len(runs)}
         if goal is not None:
-            curves = [cut(run.curves[source][goal.measure], limit) for run in runs]
-            at = [goal.reached(curve) for curve in curves]
-            steps = np.array([limit if i is None else c.steps[i] for i, c in zip(at, curves, strict=True)])
-            seconds = np.array([c.seconds[-1 if i is None else i] for i, c in zip(at, curves, strict=True)])
+            reached = [goal.reached(cut(run.curves[source][goal.measure], limit)) for run in runs]
+            steps = np.array([limit if at is None else at for at in reached])
             sooner = "" if first is None else probability_of_improvement(steps, first)
             numbers[name] |= {
                 f"primitive steps to {goal}": iqm_interval(steps),
-                "runs that never get there": at.count(None),
-                "seconds until then": iqm_interval(seconds),
+                "runs that never get there": reached.count(None),
                 f"Pr(sooner than {next(iter(groups))})": sooner,
             }
             first = steps if first is None else first
@@ -279,31 +265,24 @@ def table_of(numbers: Mapping[str, Numbers]) -> Table:
 
 
 def figure_of(groups: Mapping[str, Sequence[Run]], source: str) -> Figure:
-    """Each measure over primitive steps and over seconds: interquartile means with 95 % bootstrap bands."""
+    """Each measure over primitive steps: interquartile means with 95 % bootstrap bands."""
     everything = [run for runs in groups.values() for run in runs]
     limit = budget(everything, source)
     measures = measures_of(everything, source)
-    figure = Figure(figsize=(9.5, 2.6 * len(measures) + 0.6), layout="constrained")
-    panels = figure.subplots(len(measures), 2, squeeze=False, sharey="row")
-    for row, measure in zip(panels, measures, strict=True):
+    figure = Figure(figsize=(6.0, 2.6 * len(measures) + 0.6), layout="constrained")
+    panels = figure.subplots(len(measures), squeeze=False, sharex=True)[:, 0]
+    for axes, measure in zip(panels, measures, strict=True):
         for number, (name, runs) in enumerate(groups.items()):
-            colour = f"C{number}"
             curves = [cut(run.curves[source][measure], limit) for run in runs]
-            for axes, over in zip(row, ("steps", "seconds"), strict=True):
-                when = [getattr(curve, over) for curve in curves]
-                at = np.linspace(max(w[0] for w in when), min(w[-1] for w in when), N_POINTS)
-                values = np.array(
-                    [c.values[np.searchsorted(w, at, "right") - 1] for c, w in zip(curves, when, strict=True)]
-                )
-                middle, low, high = band(values)
-                axes.plot(at, middle, color=colour, linewidth=1.3, label=f"{name} ({len(runs)})")
-                if len(runs) > 1:
-                    axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
-        row[0].set_ylabel(UNITS[measure])
-        for axes in row:
-            axes.grid(alpha=0.25)
-    panels[-1, 0].set_xlabel("primitive steps")
-    panels[-1, 1].set_xlabel("seconds since the first entry")
-    marks, names = panels[0, 0].get_legend_handles_labels()
+            at = np.linspace(max(c.steps[0] for c in curves), min(c.steps[-1] for c in curves), N_POINTS)
+            values = np.array([c.values[np.searchsorted(c.steps, at, "right") - 1] for c in curves])
+            middle, low, high = band(values)
+            axes.plot(at, middle, color=f"C{number}", linewidth=1.3, label=f"{name} ({len(runs)})")
+            if len(runs) > 1:
+                axes.fill_between(at, low, high, color=f"C{number}", alpha=0.2, linewidth=0)
+        axes.set_ylabel(UNITS[measure])
+        axes.grid(alpha=0.25)
+    panels[-1].set_xlabel("primitive steps")
+    marks, names = panels[0].get_legend_handles_labels()
     figure.legend(marks, names, loc="outside lower center", ncols=min(3, len(names)), fontsize=9)
     return figure

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import field
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import AfterValidator, BeforeValidator, TypeAdapter
+from pydantic import AfterValidator, TypeAdapter
 
 from sb3_options.atomic import atomic_write
 from sb3_options.checked import Field, settings
@@ -40,9 +39,6 @@ ALGORITHMS = {
 
 OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
-COMMANDS = ("train", "demo", "evaluate", "resume", "compare", "tune", "options")
-"""The other first words of a command line."""
-
 MAX_SEED = 2**32 - 1
 """NumPy's generators, which SB3 seeds, take no larger one."""
 
@@ -55,27 +51,6 @@ IMPORTING = {"env": "environment", "env_wrapper": "wrapper", "feature_map": "fea
 
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
 Count: TypeAlias = Annotated[int, Field(ge=1)]
-
-
-def keywords_of(pairs: Any) -> Any:
-    """Pairs ``name:value`` as keyword arguments; a value is read as YAML, so that 3 is a number."""
-    if not isinstance(pairs, str | list | tuple):
-        return pairs  # a mapping, or what pydantic refuses
-    keywords = {}
-    for pair in [pairs] if isinstance(pairs, str) else pairs:
-        name, colon, value = str(pair).partition(":")
-        if not colon:
-            raise ValueError(f"keyword arguments are pairs name:value, got {pair}.")
-        keywords[name] = value_of(value)
-    return keywords
-
-
-def value_of(text: str) -> Any:
-    """A value of the command line, read as YAML; None is None."""
-    return None if text == "None" else yaml_file.parse(text)
-
-
-Keywords: TypeAlias = Annotated[dict[str, Any], BeforeValidator(keywords_of)]
 
 
 def _named_rule(text: str) -> str:
@@ -98,12 +73,10 @@ class TrainConfig:
         options: Run, model or options to start with.
         max_options: Number of option slots.
         max_new_options: Most to discover; None fills the slots.
-        discover: If not, empty slots stay empty.
-        compare: Train once more without discovery, and compare.
         eval_freq: Primitive steps per evaluation; 0: none.
         tensorboard_log: Folder for run folders.
         gamma: Discount γ per primitive step.
-        algo_kwargs: Arguments of SB3's class; or as flags: --n-steps 64.
+        algo_kwargs: Arguments of SB3's class.
         env_wrapper: Wrapper of the environment, module:Class.
         feature_map: φ: module:function, or temporal-distance.
         bonus: Intrinsic reward: none, counts or rnd.
@@ -121,19 +94,17 @@ class TrainConfig:
 
     algo: str = "maskableppo"
     env: str = "sb3_options/TwoRooms-v0"
-    env_kwargs: Keywords = field(default_factory=dict)
+    env_kwargs: dict[str, Any] = field(default_factory=dict)
     n_timesteps: Count = 60_000
     seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 0
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)] = 8
     options: Path | None = None
     max_options: Annotated[int, Field(ge=0, le=MAX_OPTIONS)] = 4
     max_new_options: Natural | None = 1
-    discover: bool = True
-    compare: bool = False
     eval_freq: Natural = 0
     tensorboard_log: Path = Path("runs")
     gamma: Annotated[float, Field(gt=0.0, le=1.0)] = 0.97
-    algo_kwargs: Keywords = field(default_factory=dict)
+    algo_kwargs: dict[str, Any] = field(default_factory=dict)
     env_wrapper: str | None = None
     feature_map: str | None = None
     bonus: Literal["none", "counts", "rnd"] = "none"
@@ -153,23 +124,23 @@ FIELDS = {f.name: f for f in dataclasses.fields(TrainConfig)}
 GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings, "usefulness": UsefulnessSettings}
 """The settings that are classes of settings themselves."""
 
-SPELT = {
-    'IntrinsicRewardCallback("rnd")': "--bonus rnd",
-    "gym.make(..., max_episode_steps=500)": "--env-kwargs max_episode_steps:500",
-}
-"""What a script does with calls, as flags."""
+SETTINGS = (*(f"{group}.{f.name}" for group, of in GROUPS.items() for f in dataclasses.fields(of)), *FIELDS)
+"""The whole names of all settings."""
 
-HOW_IT_RAN = frozenset({"checkpoint_freq", "compare", "device", "progress", "tensorboard_log", "vec_env"})
+HOW_IT_RAN = frozenset({"checkpoint_freq", "device", "progress", "tensorboard_log", "vec_env"})
 """Settings without effect on learning."""
+
+ARGUMENT = "algo_kwargs."
+"""How the whole names of an algorithm's arguments begin."""
+
+SIMILAR = 0.7
+"""Least similarity of `difflib` for a word that may be meant: ``sac`` is not ``a2c``."""
 
 CONFIG = "config.yml"
 """File of the settings in a run folder."""
 
 OWN = ("algo", "algo_kwargs", "n_envs")
 """What a file says of its own algorithm only."""
-
-PIONEERS = ("Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls", "PioneerMuJoCo")
-"""Environments of the robot, which share a file of settings."""
 
 
 def configure(**values: Any) -> TrainConfig:
@@ -180,46 +151,52 @@ def configure(**values: Any) -> TrainConfig:
 def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
     """As `configure` does; an error begins with ``source``, and names may have hyphens, or dots before a group's."""
     try:
-        of_env = _tuned(str(values.get("env", TrainConfig.env)))
-        algo = str(values.get("algo", of_env.get("algo", TrainConfig.algo)))
+        given = _flat(values)
+        of_env = _flat(_tuned(str(given.get("env", TrainConfig.env))))
+        algo = str(given.get("algo", of_env.get("algo", TrainConfig.algo)))
         check_algo(algo)
-        blocks = [block for names, block in shipped("defaults.yml").items() if algo in names.split()]
-        of_algo = {name: value for block in blocks for name, value in block.items()}
-        of_env = {name: value for name, value in of_env.items() if name in (*FIELDS, *of_algo)}
-        content, arguments = _sorted(of_algo | of_env)
-        given, own = _sorted(values)
+        defaults: dict[str, Any] = {}
+        for names, block in shipped("defaults.yml").items():
+            if algo in names.split():
+                defaults |= _flat(block)
+        # An environment's settings may name arguments of another algorithm.
+        defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
+        own = _nested(given)["algo_kwargs"]
         if own:
             from sb3_options.runs.algorithms import checked_arguments  # which imports SB3
 
             own = checked_arguments(algo, own)
-        for group in GROUPS.keys() & content.keys() & given.keys():
-            if isinstance(given[group], Mapping):
-                given[group] = content[group] | given[group]
-        return TrainConfig(**content | given | {"algo": algo, "algo_kwargs": _with_layers(arguments, own)})
+        arguments = _with_layers(_nested(defaults)["algo_kwargs"], own)
+        return TrainConfig(**_nested(defaults | given) | {"algo": algo, "algo_kwargs": arguments})
     except ValueError as error:
         raise ValueError(f"{source}: {error}") from None
 
 
-def _sorted(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Settings by the names of `TrainConfig`, and apart from them arguments of the algorithm's class."""
-    fields: dict[str, Any] = {}
-    own: dict[str, Any] = {}
+def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by their whole names: ``gamma``, ``discovery.decay``, ``algo_kwargs.n_steps``."""
+    flat: dict[str, Any] = {}
     for spelling, value in values.items():
         name = str(spelling).replace("-", "_")
         name = "discovery.method" if name == "method" else name
-        group, _, inner = name.partition(".")
-        if name == "algo_kwargs":
-            value = keywords_of(value)
-            own |= value if isinstance(value, Mapping) else {name: value}
-        elif group in GROUPS and (inner or isinstance(value, Mapping)):
-            part = {inner: value} if inner else {str(key).replace("-", "_"): each for key, each in value.items()}
-            for key in part.keys() - GROUPS[group].__annotations__.keys():
-                raise ValueError(unknown(f"{group}.{key}"))
-            before = fields.get(group, {})
-            fields[group] = {**before, **part} if isinstance(before, Mapping) else before
+        if isinstance(value, Mapping) and name in (*GROUPS, "algo_kwargs"):
+            flat |= {f"{name}.{str(key).replace('-', '_')}": each for key, each in value.items()}
+        elif (name in FIELDS and name != "algo_kwargs") or "." in name:
+            flat[name] = value
         else:
-            (fields if name in FIELDS else own)[name] = value
-    return fields, own
+            flat[f"{ARGUMENT}{name}"] = value
+    for name in flat.keys() - set(SETTINGS):
+        if not name.startswith(ARGUMENT):
+            raise ValueError(unknown(name))
+    return flat
+
+
+def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by the names of `TrainConfig`; a group that is an object counts whole."""
+    fields = {name: value for name, value in flat.items() if name in FIELDS}
+    for group in (*GROUPS, "algo_kwargs"):
+        part = {name.removeprefix(f"{group}."): v for name, v in flat.items() if name.startswith(f"{group}.")}
+        fields.setdefault(group, part)
+    return fields
 
 
 def _with_layers(before: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
@@ -237,8 +214,7 @@ def _tuned(env_id: str) -> dict[str, Any]:
     """The settings that ship for an environment."""
     if env_id.removeprefix("minigrid:").startswith(("MiniGrid-", "BabyAI-")):  # MiniGrid's own test is slow to import
         return shipped("tuned/minigrid.yml")
-    of_robot = env_id.removeprefix("sb3_options/").removesuffix("-v0") in PIONEERS
-    return shipped("tuned/pioneer.yml") if of_robot else {}
+    return shipped("tuned/pioneer.yml") if env_id.startswith("sb3_options/Pioneer") else {}
 
 
 @cache
@@ -247,22 +223,24 @@ def shipped(file: str) -> dict[str, Any]:
     return yaml_file.read_mapping(Path(__file__).parent / file)
 
 
-def check_algo(algo: str) -> None:
-    """Refuse the name of no algorithm."""
+def check_algo(algo: str, commands: Iterable[str] = ()) -> None:
+    """Refuse the name of no algorithm, which may be a mistyped command."""
     if algo not in ALGORITHMS:
-        near = difflib.get_close_matches(algo, [*ALGORITHMS, *COMMANDS], n=1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"There is no algorithm {algo!r}: choose from {', '.join(ALGORITHMS)}.{hint}")
+        hint = near(algo, {name: name for name in (*ALGORITHMS, *commands)})
+        names = ", ".join(ALGORITHMS)
+        raise ValueError(f"There is no algorithm {algo!r}. Options need discrete actions: choose from {names}.{hint}")
 
 
-def unknown(name: str, arguments: Mapping[str, Any] | None = None) -> str:
+def unknown(name: str, arguments: Iterable[str] = ()) -> str:
     """What to say of an unknown setting, with the nearest one."""
-    known = {name: name for name in (*FIELDS, *(arguments or {}))}
-    for group, of in GROUPS.items():
-        known = {f.name: f"{group}.{f.name}" for f in dataclasses.fields(of)} | known
-    near = difflib.get_close_matches(name.rpartition(".")[2], known, n=1)
-    hint = f" Did you mean {known[near[0]]!r}?" if near else ""
-    return f"there is no setting {name!r}.{hint}"
+    known = {each.rpartition(".")[2]: each for each in (*SETTINGS, *arguments)}
+    return f"there is no setting {name!r}.{near(name.rpartition('.')[2], known)}"
+
+
+def near(word: str, known: Mapping[str, str]) -> str:
+    """A question that names what is meant by a word that is nearly one of those known."""
+    found = difflib.get_close_matches(word, known, n=1, cutoff=SIMILAR)
+    return f" Did you mean {known[found[0]]!r}?" if found else ""
 
 
 def load(path: Path, trusted: Mapping[str, str | None] | None = None) -> TrainConfig:
@@ -312,21 +290,6 @@ def with_trusted(values: Mapping[str, Any], trusted: Mapping[str, str | None], s
 def flag(name: str) -> str:
     """How the command line spells a setting."""
     return f"--{name.replace('_', '-')}"
-
-
-def with_flags(text: str) -> str:
-    """A message of the library in the words of the command line: ``--max-options`` for ``max_options``."""
-    groups = {f.name: group for group, of in GROUPS.items() for f in dataclasses.fields(of)}
-
-    def as_flag(found: re.Match[str]) -> str:
-        name, value = found[1], found[2]
-        if (name not in FIELDS and name not in groups) or not (value or "_" in name):
-            return found[0]
-        return flag(name if name in FIELDS else f"{groups[name]}.{name}") + (f" {value}" if value else "")
-
-    for script, words in SPELT.items():
-        text = text.replace(script, words)
-    return re.sub(r'(\w+)(?:="?([\w:.]*\w)"?)?', as_flag, text)
 
 
 def program() -> str:

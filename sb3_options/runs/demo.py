@@ -8,14 +8,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
-import gymnasium as gym
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
-from sb3_contrib.common.maskable.evaluation import evaluate_policy
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import EveryNTimesteps
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -23,23 +20,14 @@ from sb3_options.callbacks import DiscoveredOption
 from sb3_options.experience.success import learned_at
 from sb3_options.runs.algorithms import make_model
 from sb3_options.runs.commands import EVAL_SEED, DemoConfig
-from sb3_options.runs.config import TrainConfig, configure
+from sb3_options.runs.config import TrainConfig, configure, shipped
 from sb3_options.runs.folder import make_env
 from sb3_options.runs.training import discovery_callback
-from sb3_options.runs.video import RecordFrames, captioned, video_file
 
 LEARNED = 0.9
 """Success rate of two evaluations in a row from which on an agent has learned the task."""
 
 EVALUATION_EPISODES = 20
-
-FILM_EPISODES = 3
-
-FILM_FPS = 12.0
-"""Pictures per second."""
-
-GAP = 8
-"""White pixels between the two agents of a film."""
 
 Result: TypeAlias = dict[str, Any]
 """One training in the target, as ``demo.json`` has it."""
@@ -52,91 +40,45 @@ class Claim(NamedTuple):
     """A pair of tasks that share a bottleneck: options are discovered in the source, and used in the target.
 
     Attributes:
-        source: Settings of the first task.
-        target: Settings of the second task.
-        source_steps: Primitive steps of training in the source.
-        target_steps: Most primitive steps of training in the target.
-        evaluate_every: Primitive steps between evaluations.
-        cells: Columns and rows of the map, in which subgoals are marked; None where every episode has another map.
         first: What happens in the source, for people.
         second: What happens in the target.
+        source: Settings of the first task.
+        target: Settings of the second task.
+        evaluate_every: Primitive steps between evaluations.
+        cells: Columns and rows of the map, in which subgoals are marked; None where every episode has another map.
     """
 
-    source: dict[str, Any]
-    target: dict[str, Any]
-    source_steps: int
-    target_steps: int
-    evaluate_every: int
-    cells: tuple[int, int] | None
     first: str
     second: str
+    source: dict[str, Any]
+    target: dict[str, Any]
+    evaluate_every: int
+    cells: tuple[int, int] | None = None
 
 
-CLAIMS = {
-    "rooms": Claim(
-        source={"env": "sb3_options/TwoRooms-v0"},
-        target={
-            "env": "sb3_options/TwoRooms-v0",
-            "env_kwargs": {"goal": [20, 0], "max_steps": 100, "success_probability": 0.8},
-        },
-        source_steps=20_000,
-        target_steps=30_000,
-        evaluate_every=1_000,
-        cells=(21, 10),
-        first="Two rooms, goal at the lower right. The agent discovers an option while it learns.",
-        second="The goal moves to the upper right, one move in five goes astray, an episode ends after 100 steps.",
-    ),
-    "key": Claim(
-        source={"env": "sb3_options/KeyDoor-v0", "max_new_options": None},
-        target={
-            "env": "sb3_options/KeyDoor-v0",
-            "env_kwargs": {"goal": [12, 0], "max_steps": 150, "success_probability": 0.8},
-        },
-        source_steps=40_000,
-        target_steps=30_000,
-        evaluate_every=1_000,
-        cells=(13, 8),
-        first="A locked door, and a key. The agent discovers options while it learns.",
-        second="The goal moves, one move in five goes astray, an episode ends after 150 steps.",
-    ),
-    "minigrid": Claim(
-        source={"env": "MiniGrid-MultiRoom-N2-S4-v0"},
-        target={"env": "MiniGrid-MultiRoom-N4-S5-v1"},
-        source_steps=60_000,
-        target_steps=200_000,
-        evaluate_every=5_000,
-        cells=None,
-        first="MiniGrid, two small rooms. The agent discovers options while it learns.",
-        second="Four larger rooms, at other places in every episode.",
-    ),
-}
+CLAIMS = {name: Claim(**claim) for name, claim in shipped("demo.yml").items()}
 
 
 def show_demo(config: DemoConfig, console: Console) -> None:
-    """Run the demonstration, print its table, and write ``demo.png``, ``demo.json`` and ``demo.gif``."""
+    """Run the demonstration, print its table, and write ``demo.png`` and ``demo.json``."""
     claim = CLAIMS[config.task]
     config.out.mkdir(parents=True, exist_ok=True)
     results: list[Result] = []
     found: list[list[DiscoveredOption]] = []
-    models: list[BaseAlgorithm] = []
     console.print(f"1. {claim.first}\n2. {claim.second}")
     for seed in range(config.seed, config.seed + config.seeds):
         path = config.out / f"options-{seed}.safetensors"
         found.append(_discover(claim, seed, path, progress=config.progress))
         subgoals = "; ".join(option.where for option in found[-1]) or "none"
         for arm, file in ((WITH, path), (WITHOUT, None)):
-            model, learning = _learn(claim, seed, file, progress=config.progress)
+            learning = _learn(claim, seed, file, progress=config.progress)
             results.append({"seed": seed, "arm": arm, "subgoals": subgoals, **learning})
-            models.append(model)
     console.print(table_of(results))
     numbers = json.dumps(sorted(results, key=lambda each: each["arm"] == WITHOUT), indent=2)
     (config.out / "demo.json").write_text(numbers + "\n", encoding="utf-8")
-    picture, film = config.out / "demo.png", config.out / "demo.gif"
-    figure_of(results, claim, found[0], _pictures(claim, config.seed)[0]).savefig(picture, dpi=110)
+    picture = config.out / "demo.png"
+    figure_of(results, claim, found[0], _map(claim, config.seed)).savefig(picture, dpi=110)
     console.print(f"Picture: {picture}")
-    if config.video:
-        _film(claim, config.seed, models[:2], config.out / f"options-{config.seed}.safetensors", film)
-        console.print(f"Film:    {film}")
     console.print("Now in your environment: sb3-options train --env YOUR-ENV-ID   (or the lines in README)")
 
 
@@ -164,13 +106,12 @@ class _Evaluations(MaskableEvalCallback):
 
 def _target(claim: Claim, seed: int, options: Path | None) -> TrainConfig:
     """The settings that ``sb3-options train`` has by default, with the options of a file or with none."""
-    own = {"n_timesteps": claim.target_steps, "seed": seed, "options": options, "discover": False}
-    return configure(algo="maskableppo", **claim.target, **own)
+    return configure(algo="maskableppo", **claim.target, seed=seed, options=options, max_new_options=0)
 
 
 def _discover(claim: Claim, seed: int, options: Path, *, progress: bool) -> list[DiscoveredOption]:
     """Train in the source, and save the options that were discovered."""
-    config = configure(algo="maskableppo", **claim.source, n_timesteps=claim.source_steps, seed=seed)
+    config = configure(algo="maskableppo", **claim.source, seed=seed)
     with closing(make_env(config, config.n_envs, seed)) as env:
         discovery = discovery_callback(config)
         make_model(config, env).learn(config.n_timesteps, discovery, progress_bar=progress)
@@ -178,19 +119,24 @@ def _discover(claim: Claim, seed: int, options: Path, *, progress: bool) -> list
         return discovery.discoveries
 
 
-def _learn(claim: Claim, seed: int, options: Path | None, *, progress: bool) -> tuple[BaseAlgorithm, Result]:
-    """Train in the target until it is learned: the model, and the steps and success rates of its evaluations."""
+def _learn(claim: Claim, seed: int, options: Path | None, *, progress: bool) -> Result:
+    """Train in the target until it is learned: the steps and success rates of the evaluations."""
     config = _target(claim, seed, options)
     with (
         closing(make_env(config, config.n_envs, seed)) as env,
         closing(make_env(config, EVALUATION_EPISODES, EVAL_SEED + seed)) as eval_env,
     ):
         evaluations = _Evaluations(eval_env, EVAL_SEED + seed)
-        model = make_model(config, env)
         callbacks = [discovery_callback(config), EveryNTimesteps(claim.evaluate_every, evaluations)]
-        model.learn(config.n_timesteps, callbacks, progress_bar=progress)
-    learned = evaluations.learned()
-    return model, {"learned_after": learned, "steps": evaluations.steps, "success": evaluations.success}
+        make_model(config, env).learn(config.n_timesteps, callbacks, progress_bar=progress)
+    return {"learned_after": evaluations.learned(), "steps": evaluations.steps, "success": evaluations.success}
+
+
+def _map(claim: Claim, seed: int) -> Any:
+    """A picture of how an episode of the target begins."""
+    with closing(make_env(_target(claim, seed, None), 1, EVAL_SEED + seed, render_mode="rgb_array")) as env:
+        env.reset()
+        return env.get_images()[0]
 
 
 def table_of(results: Sequence[Result]) -> Table:
@@ -227,7 +173,7 @@ def figure_of(results: Sequence[Result], claim: Claim, options: Sequence[Discove
         x, y = (cells + 0.5).T * size[:, None]
         left.plot(x, y, "*", color=COLOURS[WITH], markersize=14, label="discovered subgoal")
         left.legend(loc="lower right", fontsize="small")
-    longest = claim.target_steps
+    longest = claim.target["n_timesteps"]
     grid = np.linspace(0, longest, 61)
     for arm, colour in COLOURS.items():
         # Training ends once the task is learned; the last success rate stands for the rest.
@@ -242,32 +188,3 @@ def figure_of(results: Sequence[Result], claim: Claim, options: Sequence[Discove
     right.grid(alpha=0.3)
     right.legend(loc="center right", frameon=False)
     return figure
-
-
-def _pictures(claim: Claim, seed: int, model: BaseAlgorithm | None = None, options: Path | None = None) -> list[Any]:
-    """The pictures of greedy episodes; of the first state alone where there is no agent."""
-    pictures: list[Any] = []
-
-    def record(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        return RecordFrames(env, pictures.append, FILM_EPISODES)
-
-    config = _target(claim, seed, options)
-    with closing(make_env(config, 1, EVAL_SEED + seed, beneath=record, render_mode="rgb_array")) as env:
-        if model is None:
-            env.reset()
-        else:
-            env.env_method("set_slots", expect_empty=options is None)
-            evaluate_policy(model, env, FILM_EPISODES)  # type: ignore[arg-type]  # MaskablePPO
-    return pictures
-
-
-def _film(claim: Claim, seed: int, models: Sequence[BaseAlgorithm], options: Path, path: Path) -> None:
-    """Write both agents side by side; the one that is done first waits in its last picture."""
-    sides = []
-    for model, arm, file in zip(models, COLOURS, (options, None), strict=True):
-        sides.append([captioned(picture, arm) for picture in _pictures(claim, seed, model, file)])
-    gap = np.full((sides[0][0].shape[0], GAP, 3), 255, dtype=np.uint8)
-    with video_file(path, FILM_FPS) as film:
-        for i in range(max(map(len, sides))):
-            left, right = (side[min(i, len(side) - 1)] for side in sides)
-            film(np.concatenate([left, gap, right], axis=1))

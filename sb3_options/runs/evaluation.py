@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.atomic import atomic_write
@@ -77,66 +78,59 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
             )
     # What the run started with is in its own options file, too.
     config = replace(configs.load(run / runs.CONFIG, asked.trusted()), options=None)
+    cameras: list[RecordFrames] = []
     with ExitStack() as stack:
-        film, mode = None, None
+
+        def filmed(env: gym.Env[Any, Any]) -> RecordFrames:
+            cameras.append(RecordFrames(env, film, min(asked.episodes, VIDEO_EPISODES)))
+            return cameras[0]
+
+        mode = None
         if asked.video is not None:
             mode, fps = render_mode_of(config)
             film = stack.enter_context(video_file(asked.video, fps))
-        return _play(run / model, config, asked.episodes, asked.seed, film, mode)
-
-
-def _play(
-    saved: Path,
-    config: TrainConfig,
-    episodes: int,
-    seed: int,
-    film: Callable[[Any], None] | None,
-    mode: str | None,
-) -> Evaluation:
-    cameras: list[RecordFrames] = []
-
-    def record(env: gym.Env[Any, Any]) -> RecordFrames:
-        assert film is not None  # it is not called then
-        cameras.append(RecordFrames(env, film, min(episodes, VIDEO_EPISODES)))
-        return cameras[0]
-
-    beneath = None if film is None else record
-    with closing(runs.make_env(config, 1, seed, beneath=beneath, render_mode=mode)) as venv:
+        beneath = None if mode is None else filmed
+        venv = stack.enter_context(closing(runs.make_env(config, 1, asked.seed, beneath=beneath, render_mode=mode)))
         for camera in cameras:
             camera.caption = venv.get_attr("running_option")[0]
-        model = make_model(config, venv, playing=True)
-        venv.seed(seed)  # the model has seeded it with the training seed
-        # set_parameters reads tensors only, where load would unpickle.
-        try:
-            model.set_parameters(str(saved), device=model.device)
-        except (RuntimeError, ValueError, UnpicklingError) as error:
-            # torch has a heading, and a line for every array.
-            first = next((line.strip() for line in str(error).splitlines() if line.startswith("\t")), error)
-            raise ValueError(f"{saved} is damaged, or does not fit {saved.with_name(runs.CONFIG)}: {first}") from error
-        check_finite(model, saved)
-        bank: OptionBank = venv.get_attr("bank")[0]
-        bank.load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
-        if not bank.filled:
-            venv.env_method("set_slots", expect_empty=True)  # the model has no others, so nothing is missing
-        if config.algo in OFF_POLICY:
-            interrupt_options(model, venv)
-        venv.env_method("set_slots", record=True)
-        found: list[tuple[float, bool, float]] = []
-        succeeded = success_rule(config.success)
+        return _play(run / model, config, venv, asked)
 
-        def keep(variables: dict[str, Any], _: dict[str, Any]) -> None:
-            if variables["done"]:
-                trajectory = variables["info"]["trajectory"]
-                found.append((float(trajectory.rewards.sum()), succeeded(trajectory), float(len(trajectory))))
 
-        play: Callable[..., Any] = evaluate_policy
-        if config.algo == "maskableppo":
-            from sb3_contrib.common.maskable.evaluation import evaluate_policy as play
-        play(model, venv, episodes, callback=keep)
+def _play(saved: Path, config: TrainConfig, venv: VecEnv, asked: EvaluateConfig) -> Evaluation:
+    """Play a saved model in an environment."""
+    model = make_model(config, venv, playing=True)
+    venv.seed(asked.seed)  # the model has seeded it with the training seed
+    # set_parameters reads tensors only, where load would unpickle.
+    try:
+        model.set_parameters(str(saved), device=model.device)
+    except (RuntimeError, ValueError, UnpicklingError) as error:
+        # torch has a heading, and a line for every array.
+        first = next((line.strip() for line in str(error).splitlines() if line.startswith("\t")), error)
+        raise ValueError(f"{saved} is damaged, or does not fit {saved.with_name(runs.CONFIG)}: {first}") from error
+    check_finite(model, saved)
+    bank: OptionBank = venv.get_attr("bank")[0]
+    bank.load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
+    if not bank.filled:
+        venv.env_method("set_slots", expect_empty=True)  # the model has no others, so nothing is missing
+    if config.algo in OFF_POLICY:
+        interrupt_options(model, venv)
+    venv.env_method("set_slots", record=True)
+    found: list[tuple[float, bool, float]] = []
+    succeeded = success_rule(config.success)
+
+    def keep(variables: dict[str, Any], _: dict[str, Any]) -> None:
+        if variables["done"]:
+            trajectory = variables["info"]["trajectory"]
+            found.append((float(trajectory.rewards.sum()), succeeded(trajectory), float(len(trajectory))))
+
+    play: Callable[..., Any] = evaluate_policy
+    if config.algo == "maskableppo":
+        from sb3_contrib.common.maskable.evaluation import evaluate_policy as play
+    play(model, venv, asked.episodes, callback=keep)
     returns, successes, steps = zip(*found, strict=True)
     return Evaluation(
-        episodes,
+        asked.episodes,
         mean_interval(np.array(returns)),
-        share_interval(sum(successes), episodes),
+        share_interval(sum(successes), asked.episodes),
         mean_interval(np.array(steps)),
     )

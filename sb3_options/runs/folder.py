@@ -67,10 +67,9 @@ def discard(folder: Path) -> None:
 @contextmanager
 def held(run: Path) -> Iterator[None]:
     """Keep other processes from writing to a folder. A process that is killed keeps none from it any more."""
-    descriptor = os.open(run / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-    try:
+    with os.fdopen(os.open(run / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)) as file:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ValueError(f"{run} is being trained by another process: wait until it ends, or end it.") from None
         except OSError:
@@ -78,10 +77,7 @@ def held(run: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            with suppress(OSError):  # the folder may be gone
-                (run / LOCK).unlink()
-    finally:
-        os.close(descriptor)
+            (run / LOCK).unlink(missing_ok=True)  # the folder may be gone
 
 
 def named(text: str, source: str) -> Callable[..., Any]:
@@ -127,17 +123,14 @@ def make_env(
     The slots start with the options of ``--options``. An environment of MiniGrid gets a `MiniGridWrapper`, unless
     ``--env-wrapper`` names another.
     """
-    env_id = config.env
     wrapper = None if config.env_wrapper is None else named(config.env_wrapper, "--env-wrapper")
-    elsewhere = vec_env != "dummy"
-    of_minigrid = minigrid.is_minigrid(env_id)
+    of_minigrid = minigrid.is_minigrid(config.env)
+    env_id = config.env
     if of_minigrid:
         minigrid.require()
         env_id = minigrid.qualified(env_id)  # nobody has registered it in a worker
-    elif elsewhere and env_id.startswith("sb3_options/"):
-        env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there
-
-    keywords = config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode})
+    elif env_id.startswith("sb3_options/"):
+        env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there, either
 
     def made(**kwargs: Any) -> gym.Env[Any, Any]:
         if of_minigrid and wrapper is None:
@@ -148,10 +141,8 @@ def make_env(
         # Beneath the Monitor, for SB3 counts the episodes that a Monitor reports.
         return gym.wrappers.TimeLimit(env, max_steps) if max_steps else env
 
-    override = monitor_dir is None or not monitor_dir.exists()
-    if vec_env == "ray" and monitor_dir is not None:
+    if monitor_dir is not None:
         _begin_monitors(monitor_dir, n_envs, config.env)
-        override = False  # an environment that starts anew goes on with its file
     feature_map: Any = config.feature_map
     if feature_map is not None and feature_map != LEARNED:
         feature_map = named(feature_map, "--feature-map")
@@ -160,7 +151,7 @@ def make_env(
         options /= OPTIONS
 
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        if elsewhere:
+        if vec_env != "dummy":
             ignore_interrupts()
         return OptionsWrapper(
             env if beneath is None else beneath(env),
@@ -176,10 +167,10 @@ def make_env(
         made,
         n_envs=n_envs,
         seed=seed,
-        env_kwargs=keywords,
+        env_kwargs=config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode}),
         wrapper_class=with_options,
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
-        monitor_kwargs={"override_existing": override},
+        monitor_kwargs={"override_existing": False},  # a run that resumes, and an actor of Ray that starts anew, go on
         vec_env_cls=classes[vec_env],  # type: ignore[arg-type]  # it makes one, too
     )
 

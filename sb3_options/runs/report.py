@@ -21,7 +21,7 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.runs import folder as runs
 from sb3_options.runs.commands import InspectConfig
-from sb3_options.runs.compare import Goal, compared, measures_of, read_run, source_of, table_of
+from sb3_options.runs.compare import Goal, compared, read_run, source_of, table_of
 from sb3_options.runs.config import TrainConfig, flag, importing, program
 
 HEADINGS = ("slot", "option", "subgoal", "found after primitive steps", "initiation states", "policy", "longest run")
@@ -76,8 +76,8 @@ def show_options(config: InspectConfig, console: Console) -> None:
     console.print(f"SHA-256 {file.digest}")
 
 
-def closing_report(console: Console, trained: Trained, other: Trained | None, *, draws: bool) -> None:
-    """Print what training found and how it went, and what follows; ``other`` is the run of ``--compare``."""
+def closing_report(console: Console, trained: Trained, *, draws: bool) -> None:
+    """Print what training found and how it went, and what follows."""
     config, folder, discovery = trained.config, trained.folder, trained.discovery
     unit = "episodes" if config.discovery.segmentation == "episodes" else "segments"
     steps = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}"
@@ -88,17 +88,12 @@ def closing_report(console: Console, trained: Trained, other: Trained | None, *,
     elif discovery.max_new_options == 0:  # else the callback has said why
         console.print(escape(str(discovery.why_nothing())))
     try:
-        groups = {"this run": [read_run(folder)]}
-        if other is not None:
-            groups["--no-discover"] = [read_run(other.folder)]
-        everything = [run for (run,) in groups.values()]
-        source = source_of(everything)
-        goal = Goal("success", 0.9) if "success" in measures_of(everything, source) else None
-        console.print(table_of(compared(groups, goal, source)))
+        run = read_run(folder)
+        source = source_of([run])
+        goal = Goal("success", 0.9) if "success" in run.curves[source] else None
+        console.print(table_of(compared({"this run": [run]}, goal, source)))
     except ValueError as error:  # nothing was logged
         console.print(escape(str(error)))
-    if other is not None:
-        console.print("Both trained for as many primitive steps on the same seed. That is one seed, and no study.")
     path = shlex.quote(str(folder))
     video = f" --video {shlex.quote(f'{folder}/video.mp4')}" if draws else ""
     lines = [

@@ -75,6 +75,10 @@ class Interrupts:
         for number, before in self._before.items():
             signal.signal(number, before)
 
+    def was_sent(self) -> bool:
+        """Whether training is to end where a checkpoint can be written."""
+        return self.signal is not None
+
     def due(self) -> bool:
         """Whether training is to end now, wherever it is."""
         return self.signal is not None and time.monotonic() >= self._at + self.patience
@@ -116,7 +120,7 @@ class _RuledEvalCallback(EvalCallback):
 
 
 def train(config: TrainConfig, console: Console | None = None, *, resumed: Path | None = None) -> Trained:
-    """Train, and leave a run folder.
+    """Train, and leave a run folder, or go on with a run.
 
     An interrupt or an error ends training early, and what was learned is kept. Before the first step nothing is kept,
     and no folder is left.
@@ -125,36 +129,33 @@ def train(config: TrainConfig, console: Console | None = None, *, resumed: Path 
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # small networks are fastest with one
     class_of(config.algo)  # an algorithm that is not installed leaves no folder
-    other: Trained | None = None
+    discovery = discovery_callback(config, verbose=1)
     with Interrupts() as interrupts:
         with closing(runs.make_env(config, 1, config.seed)) as env:  # an error leaves no folder
             get_obs_shape(env.observation_space)  # refuses what SB3 cannot learn from
             draws = mode_among(env.get_attr("metadata")[0]) is not None
-        trained = _train_once(config, interrupts, console, resumed)
-        if config.compare and config.discover and resumed is None and interrupts.signal is None:
-            console.print("Once more, without discovery:")
-            without = dataclasses.replace(config, discover=False, compare=False, options=None)
-            other = _train_once(without, interrupts, console)
-    if not trained.folder.exists():
-        raise KeyboardInterrupt("before the first step: there is nothing to keep.")
-    closing_report(console, trained, other if other is not None and other.finished else None, draws=draws)
-    return trained._replace(signal=interrupts.signal)
-
-
-class _DiscoveryCallback(SubgoalDiscoveryCallback):
-    """Spells settings as flags where it says why nothing was discovered."""
-
-    def why_nothing(self) -> str | None:
-        why = super().why_nothing()
-        return why and configs.with_flags(why)
+        folder = resumed or runs.new_run_folder(config)
+        discovery.save_path = folder / runs.OPTIONS
+        discovery.hparams = {n: v for n, v in configs.as_values(config).items() if n not in (*HOW_IT_RAN, "options")}
+        with nullcontext() if resumed else held(folder):  # `resume` holds it already
+            finished = _learn(config, discovery, folder, interrupts, console, resume=resumed is not None)
+            if not folder.exists():
+                raise KeyboardInterrupt("before the first step: there is nothing to keep.")
+            _draw(config, discovery, folder)
+            if finished and (folder / runs.CHECKPOINTS).is_dir():
+                # Last: a process that was killed before does the end again.
+                _write(folder / FINISHED, {"n_timesteps": config.n_timesteps})
+    trained = Trained(config, folder, discovery, finished, interrupts.signal)
+    closing_report(console, trained, draws=draws)
+    return trained
 
 
 def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDiscoveryCallback:
     """The callback that a run trains with."""
-    return _DiscoveryCallback(
+    return SubgoalDiscoveryCallback(
         config.discovery,
         config.option,
-        max_new_options=config.max_new_options if config.discover else 0,
+        max_new_options=config.max_new_options,
         success=config.success,
         usefulness=config.usefulness,
         seed=config.seed,
@@ -210,27 +211,6 @@ def _write(path: Path, content: dict[str, Any]) -> None:
         temporary.write_text(yaml_file.dump(content, sort_keys=False), encoding="utf-8")
 
 
-def _train_once(config: TrainConfig, interrupts: Interrupts, console: Console, resumed: Path | None = None) -> Trained:
-    """Train, and leave all of a run folder; none without a step taken, unless it was there before."""
-    discovery = discovery_callback(config, verbose=1)
-    hparams = configs.as_values(config)
-    if resumed is not None:
-        hparams["options"] = yaml_file.read_mapping(resumed / runs.CONFIG).get("options")
-    if hparams["options"] is not None:
-        hparams["options"] = "/".join(Path(str(hparams["options"])).parts[-2:])  # run folders are moved
-    discovery.hparams = {name: value for name, value in hparams.items() if name not in HOW_IT_RAN}
-    folder = runs.new_run_folder(config) if resumed is None else resumed
-    discovery.save_path = folder / runs.OPTIONS
-    with nullcontext() if resumed else held(folder):  # `resume` holds it already
-        finished = _learn(config, discovery, folder, interrupts, console, resume=resumed is not None)
-        if folder.exists():
-            _draw(config, discovery, folder)
-        if finished and (folder / FINISHED).parent.is_dir():
-            # Last: a process that was killed before does the end again.
-            _write(folder / FINISHED, {"n_timesteps": config.n_timesteps})
-    return Trained(config, folder, discovery, finished, None)
-
-
 def _learn(
     config: TrainConfig,
     discovery: SubgoalDiscoveryCallback,
@@ -241,7 +221,6 @@ def _learn(
     resume: bool,
 ) -> bool:
     """Train, and save the result however training ends; remove a new folder if no step was taken."""
-    interrupts.saving, interrupts.patience = False, 0.0
     model: BaseAlgorithm | None = None
     envs: list[VecEnv] = []
     finished = False
@@ -249,17 +228,27 @@ def _learn(
         monitors = folder / runs.MONITOR
         envs.append(runs.make_env(config, config.n_envs, config.seed, monitor_dir=monitors, vec_env=config.vec_env))
         model = make_model(config, envs[0])
+        model.tensorboard_log = str(folder)
         if not resume:
             configs.save(config, folder / runs.CONFIG)
-        model.tensorboard_log = str(folder)
         callbacks: list[BaseCallback] = [discovery]
         if config.bonus != "none":
             callbacks.append(IntrinsicRewardCallback(config.bonus, seed=config.seed))
         if config.eval_freq > 0:
             callbacks.append(_evaluation(config, folder, envs))
         callbacks.append(ConvertCallback(lambda *_: not interrupts.due()))
-        if config.checkpoint_freq > 0:
-            callbacks += _checkpoints(config, folder, model, callbacks, interrupts, console, resume=resume)
+        where = folder / runs.CHECKPOINTS
+        why = refusal(envs[0]) if config.checkpoint_freq > 0 and not resume else None
+        if why is not None:
+            console.print(f"[yellow]No checkpoints:[/] {escape(why)}")
+        elif config.checkpoint_freq > 0:
+            interrupts.patience = PATIENCE
+            callbacks.append(CheckpointCallback(where, config.checkpoint_freq, end_when=interrupts.was_sent))
+        if resume:
+            steps = load_checkpoint(where, model, callbacks)
+            console.print(f"Going on after {steps:,} primitive steps.")
+            content = yaml_file.read_mapping(folder / runs.CONFIG)
+            _write(folder / runs.CONFIG, content | {"n_timesteps": config.n_timesteps})  # for the next `resume`
         if interrupts.signal is None:
             console.print(
                 f"Training {config.algo.upper()} on {escape(config.env)} for {config.n_timesteps:,} primitive steps."
@@ -324,33 +313,6 @@ def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv]) -> BaseCa
         callback.rule = success_rule(config.success)
     # EvalCallback counts calls of step, of which one may be many primitive steps.
     return EveryNTimesteps(config.eval_freq, callback)
-
-
-def _checkpoints(
-    config: TrainConfig,
-    folder: Path,
-    model: BaseAlgorithm,
-    callbacks: list[BaseCallback],
-    interrupts: Interrupts,
-    console: Console,
-    *,
-    resume: bool,
-) -> list[BaseCallback]:
-    """The callback that writes them, if the environment allows it; training goes on from the last one to ``resume``."""
-    why = refusal(model.get_env())
-    if why is not None and not resume:
-        console.print(f"[yellow]No checkpoints:[/] {escape(why)}")
-        return []
-    interrupts.patience = PATIENCE
-    where = folder / runs.CHECKPOINTS
-    checkpoints = CheckpointCallback(where, config.checkpoint_freq, end_when=lambda: interrupts.signal is not None)
-    if resume:
-        steps = load_checkpoint(where, model, [*callbacks, checkpoints])
-        console.print(f"Going on after {steps:,} primitive steps.")
-        content = yaml_file.read_mapping(folder / runs.CONFIG)
-        if content.get("n_timesteps") != config.n_timesteps:  # for the next `resume`
-            _write(folder / runs.CONFIG, content | {"n_timesteps": config.n_timesteps})
-    return [checkpoints]
 
 
 def _draw(config: TrainConfig, discovery: SubgoalDiscoveryCallback, folder: Path) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import optuna
-from joblib import Parallel, delayed, parallel_config
+from joblib import Parallel, delayed
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
@@ -24,12 +24,11 @@ from optuna.trial import TrialState
 from rich.console import Console
 from rich.markup import escape
 
-from sb3_options.execution.ray_vec_env import connect
 from sb3_options.runs import config as configs
 from sb3_options.runs import yaml_file
 from sb3_options.runs.algorithms import class_of
 from sb3_options.runs.commands import TuneConfig
-from sb3_options.runs.compare import Goal, Run, at_the_end, learned_after, read_run
+from sb3_options.runs.compare import Goal, Run, read_run
 from sb3_options.runs.config import IMPORTING, TrainConfig
 from sb3_options.runs.training import train
 
@@ -62,7 +61,7 @@ class SearchSpace(NamedTuple):
     def config(self, proposed: Mapping[str, Any], seed: int, folder: Path) -> TrainConfig:
         """The configuration of a run, whose run folder will be in ``folder``."""
         read = {name: json.loads(v) if isinstance(v, str) else v for name, v in proposed.items()}
-        own = {"seed": seed, "tensorboard_log": str(folder), "progress": False, "compare": False, "checkpoint_freq": 0}
+        own = {"seed": seed, "tensorboard_log": str(folder), "progress": False, "checkpoint_freq": 0}
         return configs.build({**self.base, **read, **own}, self.where)
 
 
@@ -103,31 +102,22 @@ def tune(config: TuneConfig, console: Console) -> TrainConfig:
     space = read_space(config.space, config.trusted())
     config.out.mkdir(parents=True, exist_ok=True)
     study = _opened(config, 0)
-    asked = [config.objective, config.reach, config.seeds, str(space[1:])]
+    asked = [config.reach, config.seeds, str(space[1:])]
     if study.user_attrs.get("asked", asked) != asked:
         raise ValueError(f"{config.out} holds another search: its file, goal or seeds differ. Give another --out.")
     study.set_user_attr("asked", asked)
     for cut_off in study.get_trials(states=(TrialState.RUNNING,)):
         study.enqueue_trial(cut_off.params)
         study.tell(cut_off.number, state=TrialState.FAIL)
-    where: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
-    if config.cluster is not None:
-        connect(config.cluster)
-        from ray.util.joblib import register_ray
-
-        register_ray()  # type: ignore[no-untyped-call]  # Ray's
-        where = parallel_config("ray")
-    with where:
-        Parallel(n_jobs=config.jobs)(delayed(_work)(config, space, job) for job in range(config.jobs))
+    Parallel(n_jobs=config.jobs)(delayed(_work)(config, space, job) for job in range(config.jobs))
     best = dataclasses.replace(space.config(study.best_params, 0, Path("runs")), progress=True)
     configs.save(best, config.out / BEST)
     states = [trial.state.name.lower() for trial in study.trials]
     found = ", ".join(f"{states.count(state)} {state}" for state in sorted(set(states)))
-    shown = f"{math.exp(study.best_value):,.0f} primitive steps" if config.objective == "steps" else study.best_value
     console.print(
-        f"Of {found} trials on {config.seeds} seeds trial {study.best_trial.number + 1} is the best, {shown}. The best "
-        f"of many is better on these seeds than on others: judge {escape(str(config.out / BEST))} with --config on "
-        f"--seed {config.seeds} and more."
+        f"Of {found} trials on {config.seeds} seeds trial {study.best_trial.number + 1} is the best, "
+        f"{math.exp(study.best_value):,.0f} primitive steps. The best of many is better on these seeds than on others: "
+        f"judge {escape(str(config.out / BEST))} with --config on --seed {config.seeds} and more."
     )
     return best
 
@@ -135,14 +125,12 @@ def tune(config: TuneConfig, console: Console) -> TrainConfig:
 def _opened(config: TuneConfig, job: int) -> optuna.Study:
     """The search in the folder, or a new one; each job draws other settings, and so does a search that goes on."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    less = config.objective == "steps" or Goal.parsed(config.reach).measure == "length"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         study = optuna.create_study(
             storage=JournalStorage(JournalFileBackend(str(config.out / JOURNAL))),
             study_name="settings",
             pruner=optuna.pruners.WilcoxonPruner(p_threshold=P_THRESHOLD, n_startup_steps=N_BEFORE),
-            direction="minimize" if less else "maximize",
             load_if_exists=True,
         )
         seed = len(study.trials) + 10_000 * job
@@ -176,14 +164,14 @@ def _mean_score(trial: optuna.Trial, config: TuneConfig, space: SearchSpace) -> 
     scores = []
     for seed in range(config.seeds):
         run = space.config(trial.params, seed, config.out / RUNS / f"{trial.number:04}" / str(seed))
-        scores.append(score(run, goal, config.objective))
+        scores.append(score(run, goal))
         trial.report(scores[-1], len(scores))
         if trial.should_prune():
             return None
     return sum(scores) / len(scores)
 
 
-def score(run: TrainConfig, goal: Goal, objective: str) -> float:
+def score(run: TrainConfig, goal: Goal) -> float:
     """Train once in a folder for this run alone, and say how good the run was, as `score_of` does."""
     run.tensorboard_log.mkdir(parents=True, exist_ok=True)
     log = (run.tensorboard_log / LOG).open("w", encoding="utf-8")
@@ -191,18 +179,12 @@ def score(run: TrainConfig, goal: Goal, objective: str) -> float:
         trained = train(run)
     if trained.signal is not None:
         raise KeyboardInterrupt
-    return score_of(read_run(trained.folder), goal, objective, run.n_timesteps)
+    return score_of(read_run(trained.folder), goal, run.n_timesteps)
 
 
-def score_of(run: Run, goal: Goal, objective: str, n_timesteps: int) -> float:
-    """Logarithm of the primitive steps to the goal, or the measure's mean over the last tenth of training.
-
-    Evaluations count, if the run made any; a run that never gets there counts with ``n_timesteps``.
-    """
+def score_of(run: Run, goal: Goal, n_timesteps: int) -> float:
+    """Logarithm of the primitive steps to the goal, by evaluations if the run made any; without it ``n_timesteps``."""
     curves = run.curves["eval"] or run.curves["rollout"]
     if goal.measure not in curves:
         raise ValueError(f"{run.folder} did not log {goal.measure}: choose --reach {', '.join(curves)}.")
-    curve = curves[goal.measure]
-    if objective == "end":
-        return at_the_end(curve, n_timesteps)
-    return math.log(max(1.0, learned_after(curve, goal) or n_timesteps))
+    return math.log(max(1.0, goal.reached(curves[goal.measure]) or n_timesteps))

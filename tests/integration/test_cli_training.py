@@ -27,7 +27,7 @@ class TestTrain:
         [
             (["--n-timesteps", "30"], "No subgoal was discovered: no episode has ended. Train for longer"),
             (["--algo", "dqn", "--env", "CliffWalking-v1"], "No subgoal was discovered: no success in"),
-            (["--no-discover"], "Discovery was switched off."),
+            (["--max-new-options", "0"], "Discovery was switched off."),
             (["--max-options", "0"], "There was no free slot for an option"),
         ],
     )
@@ -51,7 +51,7 @@ class TestTrain:
     @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")  # 2 environments, not 8
     def test_other_algorithms_and_several_environments(self, algo: str, tmp_path: Path) -> None:
         args = ["--algo", algo, "--n-envs", "2", "--n-timesteps", "400", "--tensorboard-log", str(tmp_path)]
-        args += ["--no-progress", "--no-discover", "--eval-freq", "200", "--eval-episodes", "1"]
+        args += ["--no-progress", "--max-new-options", "0", "--eval-freq", "200", "--eval-episodes", "1"]
         args += ["--learning-starts", "300"] if "dqn" in algo else ["--n-steps", "64"]
         args += ["--n-epochs", "1"] if "ppo" in algo else []
         cli.main([*args, "--env-kwargs", "max_steps:30"])
@@ -80,20 +80,12 @@ class TestTrain:
         result = evaluate_run(folder, episodes=2)
         assert result.episodes == 2
 
-    def test_says_how_it_went_beside_training_without_discovery(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_says_how_it_went(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         args = ["--n-timesteps", "2000", "--no-progress", "--tensorboard-log", str(tmp_path)]
-        args += ["--env-kwargs", "max_steps:100"]
-        cli.main([*args, "--compare"])
+        cli.main([*args, "--env-kwargs", "max_steps:100"])
         printed = capsys.readouterr().out
-        assert "Once more, without discovery:" in printed
-        assert re.search(r"│ this run +┃ --no-discover|┃ this run +┃ --no-discover", printed)
         assert re.search(r"│ success rate, at the end +│ [01]", printed)
-        lengths = [len(list((tmp_path / "maskableppo").glob(f"*_{i}/monitor/*"))) for i in (1, 2)]
-        assert lengths == [8, 8]
-        without = configs.load(tmp_path / "maskableppo" / "sb3_options-TwoRooms-v0_2" / "config.yml")
-        assert (without.discover, without.compare) == (False, False)
+        assert len(list((tmp_path / "maskableppo").glob("*_1/monitor/*"))) == 8
 
     def test_an_interrupt_keeps_what_was_learned(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from experiments.common.machines import Machines
 from experiments.common.seeds import Part, run_parts
 from experiments.kills.comparison import differences
 from sb3_options import cli
-from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from tests.support.clusters import TwoNodes, wait_until
 from tests.support.sb3_helpers import make_optioned_rooms
@@ -43,29 +41,6 @@ def test_train_and_resume(nodes: TwoNodes, tmp_path: Path) -> None:
     assert (other / runs.MODEL).stat().st_size == pytest.approx(len(before), rel=0.1)
     differ = {what: those for what, those in differences(run, other).items() if those}
     assert differ == {"TensorBoard": ["tensorboard_1/time/lost_actors"]}
-
-
-def test_a_search_for_settings(nodes: TwoNodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Trainings run in Ray's workers."""
-    nodes.add_second()  # two jobs need two processors
-    monkeypatch.chdir(tmp_path)
-    space = {
-        "base": {
-            "algo": "ppo",
-            "env": "CartPole-v1",
-            "n_timesteps": 300,
-            "n_envs": 1,
-            "batch_size": 32,
-            "discover": False,
-        },
-        "search": {"n_steps": [32, 64]},
-    }
-    Path("space.yml").write_text(yaml.safe_dump(space))
-    out = str(tmp_path / "out")  # workers are in another folder
-    words = ["--trials", "2", "--seeds", "1", "--reach", "return=5", "--jobs", "2", "--cluster", nodes.address]
-    cli.main(["tune", str(tmp_path / "space.yml"), "--out", out, *words])
-    assert configs.load(Path("out/best.yml")).algo == "ppo"
-    assert len(list(tmp_path.glob("out/runs/*/0/output.txt"))) == 2
 
 
 def kill_second(nodes: TwoNodes, folder: Path, sign: str) -> None:

@@ -68,7 +68,7 @@ def test_from_a_wheel_in_an_empty_folder(installed: Path, tmp_path: Path) -> Non
 
 
 def test_a_missing_extra_is_named(tmp_path: Path) -> None:
-    code = "import sys; sys.modules['tyro'] = None; from sb3_options.__main__ import main; main()"
+    code = "import sys; sys.modules['rich'] = None; from sb3_options.__main__ import main; main()"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "pip install 'sb3-options[train,contrib]' (in a checkout '.[train,contrib]')" in done.stderr

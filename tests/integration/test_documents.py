@@ -15,7 +15,7 @@ import tyro
 from experiments.deep import report as deep_report
 from experiments.paper import report as paper_report
 from experiments.pioneer import report as pioneer_report
-from sb3_options.cli import COMMANDS, parse
+from sb3_options.cli import COMMANDS, parse, parse_command
 from tests.support import processes
 from tests.support.documents import (
     PAGES,
@@ -159,7 +159,7 @@ def test_commands_of_train_are_understood(page: Path) -> None:
         if words[:1] == ["train"]:
             words = words[1:]
         if words and words[0] in COMMANDS:
-            tyro.cli(COMMANDS[words[0]][0], args=words[1:])
+            parse_command(words[0], words[1:])
         elif "--help" in words:
             with pytest.raises(SystemExit, match=r"^0$"):
                 parse(words)

@@ -85,7 +85,7 @@ def blank() -> CountingEnv:
 def test_a_run_without_options_lacks_none(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     config = configure(
         algo="maskableppo",
-        n_timesteps=64, n_steps=64, n_envs=1, discover=False, progress=False, device="cpu", tensorboard_log=tmp_path,
+        n_timesteps=64, n_steps=64, n_envs=1, max_new_options=0, progress=False, device="cpu", tensorboard_log=tmp_path,
         env_kwargs={"max_steps": 50},
     )  # fmt: skip
     evaluate_run(train(config), episodes=1)

@@ -6,21 +6,21 @@ from pathlib import Path
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options.cli import parse
+from sb3_options.cli import COMMANDS, main, parse
 from sb3_options.runs import config as configs
 from sb3_options.runs.config import ALGORITHMS, FIELDS, GROUPS, TrainConfig, configure
 
 
 def test_flags_win_over_the_file_wherever_they_stand(tmp_path: Path) -> None:
     path = tmp_path / "config.yml"
-    path.write_text("algo: dqn\nseed: 3\nn-timesteps: 500\ndiscover: false\ndiscovery:\n  capacity: 9\n  decay: 0.5\n")
+    path.write_text("algo: dqn\nseed: 3\nn-timesteps: 500\nbonus: rnd\ndiscovery:\n  capacity: 9\n  decay: 0.5\n")
     for args in (
-        ["--config", str(path), "--seed", "4", "--discovery.decay", "0.25", "--discover"],
-        ["--seed", "4", "--discovery.decay", "0.25", "--discover", f"--config={path}"],
-        ["dqn", "--seed", "4", "--config", str(path), "--discovery.decay", "0.25", "--discover"],
+        ["--config", str(path), "--seed", "4", "--discovery.decay", "0.25", "--bonus", "none"],
+        ["--seed", "4", "--discovery.decay", "0.25", "--bonus", "none", f"--config={path}"],
+        ["dqn", "--seed", "4", "--config", str(path), "--discovery.decay", "0.25", "--bonus", "none"],
     ):
         config = parse(args)
-        assert (config.seed, config.n_timesteps, config.discover) == (4, 500, True)
+        assert (config.seed, config.n_timesteps, config.bonus) == (4, 500, "none")
         assert (config.discovery.capacity, config.discovery.decay) == (9, 0.25)
     assert parse([]) == configure() == TrainConfig(algo_kwargs=configure().algo_kwargs)
 
@@ -34,12 +34,11 @@ def test_a_saved_configuration_is_read_back(algo: str, tmp_path: Path) -> None:
     assert parse(["--config", str(tmp_path / "config.yml")]) == config
 
 
-def test_arguments_of_the_algorithm_are_flags_pairs_and_lines_of_a_file(tmp_path: Path) -> None:
+def test_arguments_of_the_algorithm_are_flags_and_lines_of_a_file(tmp_path: Path) -> None:
     expected = configure(algo="ppo", n_steps=64, normalize_advantage=False, learning_rate=1e-4)
     (tmp_path / "config.yml").write_text("algo: ppo\nn-steps: 64\nnormalize_advantage: false\nlearning_rate: 1e-4\n")
     for words in (
         ["ppo", "--n-steps", "64", "--normalize-advantage=false", "--learning-rate", "1e-4"],
-        ["ppo", "--algo-kwargs", "n_steps:64", "normalize_advantage:false", "learning_rate:1e-4"],
         ["--config", str(tmp_path / "config.yml")],
     ):
         assert parse(words) == expected
@@ -48,22 +47,11 @@ def test_arguments_of_the_algorithm_are_flags_pairs_and_lines_of_a_file(tmp_path
         parse(["ppo", "--n-step", "64"])
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "env_kwargs:\n  - 'map:\"S#\\nSG\"'\n  - max_steps:7\n  - goal:[1, 1]\n  - p:0.5\n  - note:a:b\n",
-        "env_kwargs:\n  map: |-\n    S#\n    SG\n  max_steps: 7\n  goal: [1, 1]\n  p: 0.5\n  note: a:b\n",
-    ],
-    ids=["pairs", "mapping"],
-)
-def test_keyword_arguments_of_the_environment(text: str, tmp_path: Path) -> None:
-    path = tmp_path / "config.yml"
-    path.write_text(text)
-    config = configs.load(path)
-    expected = {"map": "S#\nSG", "max_steps": 7, "goal": [1, 1], "p": 0.5, "note": "a:b"}
-    assert config.env_kwargs == expected
-    configs.save(config, path)
-    assert configs.load(path).env_kwargs == expected
+def test_keyword_arguments_of_the_environment(tmp_path: Path) -> None:
+    config = parse(["--env-kwargs", 'map:"S#\\nSG"', "max_steps:7", "goal:[1, 1]", "p:0.5", "note:a:b"])
+    assert config.env_kwargs == {"map": "S#\nSG", "max_steps": 7, "goal": [1, 1], "p": 0.5, "note": "a:b"}
+    configs.save(config, tmp_path / "config.yml")
+    assert configs.load(tmp_path / "config.yml") == config
 
 
 @pytest.mark.parametrize(
@@ -75,8 +63,12 @@ def test_keyword_arguments_of_the_environment(text: str, tmp_path: Path) -> None
         (["--seed", "many"], "seed should be"),
         (["--max-option", "3"], "Did you mean 'max_options'"),
         (["ppo", "--learning-starts", "9"], "there is no setting 'learning_starts'"),
-        (["--algo", "sarsa"], "There is no algorithm 'sarsa': choose from maskableppo, ppo,"),
-        (["evaluat", "run"], "Did you mean 'evaluate'?"),
+        (
+            ["--algo", "sarsa"],
+            "There is no algorithm 'sarsa'. Options need discrete actions: choose from maskableppo, ppo,",
+        ),
+        (["evaluat", "--episodes", "3"], "Did you mean 'evaluate'?"),
+        (["sac"], "trpo, recurrentppo, dqn, qrdqn, optiondqn."),  # a2c is not meant
         (["--seed"], "--seed takes a value"),
         (["ppo", "dqn"], "one algorithm is trained at a time"),
         (["--config"], "--config takes a value"),
@@ -87,6 +79,30 @@ def test_what_makes_no_sense_is_refused_in_one_line(args: list[str], expected: s
     with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
         parse(args)
     assert expected in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["evaluate"], "evaluate: run is missing"),
+        (["evaluate", "a", "b"], "takes one RUN, got a b"),
+        (["evaluate", "a", "--episode", "3"], "there is no setting 'episode'. Did you mean 'episodes'?"),
+        (["evaluate", "a", "--episodes", "0"], "evaluate: episodes should be greater than or equal to 1, got 0"),
+        (["tune", "space.yml"], "tune: out is missing"),
+        (["demo", "maze"], "demo: task should be 'rooms', 'key' or 'minigrid', got 'maze'"),
+        (["compare", "a", "--reach"], "--reach takes a value"),
+        (["ppo", "--seed", "many"], "seed should be"),
+    ],
+)
+def test_usage_errors_are_a_line_and_exit_status_2(
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main(words)
+    said = capsys.readouterr().err
+    assert said.startswith("Error: ")
+    assert said.count("\n") == 1
+    assert expected in said
 
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:
@@ -164,10 +180,17 @@ class TestHelp:
             words = self.text(capsys, "--help", section).split()
             return {word.replace("--no-", "--").replace(".no-", ".") for word in words}
 
-        own = {name for name in FIELDS if name not in ("algo", *GROUPS)}
+        own = {name for name in FIELDS if name not in ("algo", "algo_kwargs", *GROUPS)}
         assert {f"--{name.replace('_', '-')}" for name in own} <= shown("all")
         for group, of in GROUPS.items():
             assert {f"--{group}.{f.name.replace('_', '-')}" for f in dataclasses.fields(of)} <= shown(group)
+
+    @pytest.mark.parametrize("command", COMMANDS)
+    def test_a_command_shows_what_it_takes(self, command: str, capsys: pytest.CaptureFixture[str]) -> None:
+        with pytest.raises(SystemExit, match=r"^0$"):
+            main([command, "--help"])
+        words = capsys.readouterr().out.replace("--no-", "--").split()
+        assert {f"--{name.replace('_', '-')}" for name in COMMANDS[command][0].__dataclass_fields__} <= {*words}
 
     def test_shows_the_defaults_of_the_environment(
         self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

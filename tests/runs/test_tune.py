@@ -24,7 +24,7 @@ from sb3_options.runs.compare import Curve, Goal, Run
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.tune import read_space
 
-BASE = {"algo": "ppo", "env": "CartPole-v1", "n_timesteps": 300, "n_envs": 1, "discover": False}
+BASE = {"algo": "ppo", "env": "CartPole-v1", "n_timesteps": 300, "n_envs": 1, "max_new_options": 0}
 SEARCH: dict[str, Any] = {
     "learning_rate": {"low": 1e-4, "high": 1e-2, "log": True},
     "n_steps": [32, 64],
@@ -167,22 +167,21 @@ def test_a_budget_in_which_no_episode_ends_is_named(tmp_path: Path) -> None:
         tmp_path,
     )
     with pytest.raises(ValueError, match="logged no returns: it has neither an evaluation nor a training episode"):
-        tune.score(run, Goal("return", 1.0), "steps")
+        tune.score(run, Goal("return", 1.0))
 
 
 def run_with(values: list[float], source: str = "eval") -> Run:
-    curve = Curve(np.arange(1.0, len(values) + 1) * 100, np.zeros(len(values)), np.array(values))
+    curve = Curve(np.arange(1.0, len(values) + 1) * 100, np.array(values))
     return Run(Path("run"), {}, {"eval": {}, "rollout": {}} | {source: {"success": curve}})
 
 
 def test_scores() -> None:
     goal = Goal("success", 0.9)
     learned = run_with([0.0, 0.95, 0.5, 0.9, 1.0, 1.0, 1.0, 1.0, 0.8, 0.6])
-    assert tune.score_of(learned, goal, "steps", 1000) == pytest.approx(math.log(400))
-    assert tune.score_of(learned, goal, "end", 1000) == pytest.approx(0.7)
-    assert tune.score_of(run_with([0.0, 0.1], "rollout"), goal, "steps", 1000) == pytest.approx(math.log(1000))
+    assert tune.score_of(learned, goal, 1000) == pytest.approx(math.log(400))
+    assert tune.score_of(run_with([0.0, 0.1], "rollout"), goal, 1000) == pytest.approx(math.log(1000))
     with pytest.raises(ValueError, match="run did not log return: choose --reach success"):
-        tune.score_of(learned, Goal("return", 1.0), "steps", 1000)
+        tune.score_of(learned, Goal("return", 1.0), 1000)
 
 
 def test_the_search_needs_optuna(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,7 +27,6 @@ LIBRARIES = [
     "stable_baselines3",
     "torch",
     "torch.utils.tensorboard",
-    "tyro",
 ]
 """What the fork server imports; what is not installed is left out."""
 
