@@ -20,7 +20,6 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
 from sb3_options.execution.above import Outermost
-from sb3_options.execution.slots import SlotState
 from sb3_options.execution.workers import PATIENCE, WorkerLostError
 from sb3_options.extras import how_to_install
 
@@ -78,27 +77,15 @@ class HostedEnvironments:
     """The environments of an actor, one after the other. Behaves as the workers of ``SubprocVecEnv``."""
 
     def __init__(self, env_fns: EnvFns) -> None:
-        self._env_fns = list(env_fns)
+        self._env_fns = env_fns
         self.envs: list[Any] = []  # made later: an error in one is not one of starting the process
         self._reset_infos: list[Any] = [{} for _ in env_fns]
-        self._known: list[SlotState | None] = []
 
-    def _make(self) -> None:
-        if not self.envs:
-            self.envs = [_patch_env(make()) for make in self._env_fns]
-            self._known = [_slots_of(env) for env in self.envs]
-
-    def answer(self, messages: Sequence[Message]) -> tuple[list[Any], dict[int, SlotState]]:
-        """Answers to messages, and the slots that they have changed."""
-        self._make()
-        answers, changed = [], {}
-        for i, command, data in messages:
-            # They share nothing, and what Ray hands out cannot be written to.
-            answers.append(self._answer(i, command, copy.deepcopy(data)))
-            now = None if command in ("step", "reset") else _slots_of(self.envs[i])
-            if now is not None and now is not self._known[i]:
-                self._known[i] = changed[i] = now
-        return answers, changed
+    def answer(self, messages: Sequence[Message]) -> list[Any]:
+        """The answers to messages."""
+        self.envs = self.envs or [_patch_env(make()) for make in self._env_fns]
+        # They share nothing, and what Ray hands out cannot be written to.
+        return [self._answer(i, command, copy.deepcopy(data)) for i, command, data in messages]
 
     def _answer(self, i: int, command: str, data: Any) -> Any:
         env = self.envs[i]
@@ -116,39 +103,16 @@ class HostedEnvironments:
             return observation, self._reset_infos[i]
         return _HOW[command](env, data)
 
-    def begin(
-        self,
-        slots: Sequence[SlotState | None],
-        seeds: Sequence[int | None],
-        last: Sequence[Any] | None,
-    ) -> list[Any]:
-        """Take the place of environments that are lost, with their slots, and answer a step that is lost with them.
-
-        ``last`` are their last known observations; None where they were not yet reset.
-        """
-        self._make()
-        answers = []
-        for i, (env, seed, state) in enumerate(zip(self.envs, seeds, copy.deepcopy(slots), strict=True)):
-            if seed is not None:
-                env.action_space.seed(seed)
-            if state is not None and is_wrapped(env, Outermost):  # type: ignore[arg-type]  # it is asked of each
-                env.get_wrapper_attr("set_slots")(**vars(state))
-            self._known[i] = _slots_of(env)
-            if last is not None:
-                observation, self._reset_infos[i] = env.reset(seed=seed)
-                info = env.get_wrapper_attr("lost_step")(last[i]) if env.has_wrapper_attr("lost_step") else {}
-                info |= {"TimeLimit.truncated": True, "terminal_observation": last[i], "lost": True}
-                answers.append((observation, 0.0, True, info, self._reset_infos[i]))
-        return answers
-
     def close(self) -> None:
         """Close all of them."""
         for env in self.envs:
             env.close()
 
 
-def _slots_of(env: Any) -> SlotState | None:
-    return env.get_wrapper_attr("slot_state") if env.has_wrapper_attr("slot_state") else None
+def _lost_step(env: Any, last: Any) -> dict[str, Any]:
+    """The info of a step from the last known observation that is lost with its environment."""
+    info = env.get_wrapper_attr("lost_step")(last) if env.has_wrapper_attr("lost_step") else {}
+    return info | {"TimeLimit.truncated": True, "terminal_observation": last, "lost": True}
 
 
 _HOW: dict[str, Callable[[Any, Any], Any]] = {
@@ -158,6 +122,7 @@ _HOW: dict[str, Callable[[Any, Any], Any]] = {
     "has_attr": lambda env, name: env.has_wrapper_attr(name),
     "set_attr": lambda env, data: setattr(env, *data),
     "is_wrapped": is_wrapped,
+    "lost_step": _lost_step,
     "render": lambda env, _: env.render(),
 }
 
@@ -187,15 +152,13 @@ class RayVecEnv(SubprocVecEnv):
     than the environments, so it is for environments that cost. Every machine needs the same Python and packages.
 
     The loss of a machine, or of a process, ends no training. The environments of its actors start anew elsewhere, with
-    seeds of their own and what their slots held (`SlotState`). The episodes that were in flight end as truncated:
-    reward 0, ``info["TimeLimit.truncated"]``, the last observation that is known as ``terminal_observation``, and
+    seeds of their own and what was put into their slots (`OptionsWrapper.set_slots`). Episodes in flight end as
+    truncated: reward 0, ``info["TimeLimit.truncated"]``, the last known observation as ``terminal_observation``, and
     ``info["lost"]``. There is one warning a loss. What is lost before the first reset starts anew and is not counted.
 
     Args:
         env_fns: Each makes an environment.
         n_actors: Actors, at most one an environment; by default one a core of the cluster. Ray spreads them.
-        address: As `connect` takes it.
-        num_cpus: Cores that an actor reserves; by default none, so that environments always find another place.
         step_timeout: Seconds that an actor may take for an answer before it is lost; None waits for ever. Ray itself
             notices a process that ended, and after a minute a machine that hangs, but no process that hangs.
 
@@ -204,34 +167,29 @@ class RayVecEnv(SubprocVecEnv):
 
     Raises:
         ModuleNotFoundError: Ray is not installed.
-        ConnectionError: There is no cluster at ``address``.
+        ConnectionError: There is no cluster where the variable ``RAY_ADDRESS`` says.
         WorkerLostError: The same environments were lost time and again.
     """
 
-    def __init__(
-        self,
-        env_fns: EnvFns,
-        n_actors: int | None = None,
-        *,
-        address: str | None = None,
-        num_cpus: float | None = None,
-        step_timeout: float | None = 600.0,
-    ) -> None:
-        self.step_timeout: float | None = None
-        self._ray = connect(address)
-        # To note every step for Ray's dashboard takes a sixth of the time of a call.
+    def __init__(self, env_fns: EnvFns, n_actors: int | None = None, *, step_timeout: float | None = 600.0) -> None:
+        self._ray = connect()
+        # No reserved cores, so that environments always find another place. To note every step for Ray's dashboard
+        # takes a sixth of the time of a call.
         self._class = self._ray.remote(HostedEnvironments).options(
-            num_cpus=num_cpus or 0.0, scheduling_strategy="SPREAD", enable_task_events=False
+            num_cpus=0, scheduling_strategy="SPREAD", enable_task_events=False
         )
+        of = self._ray.exceptions
+        gone = of.RayActorError, of.NodeDiedError, of.WorkerCrashedError, of.ObjectLostError, of.OutOfMemoryError
+        self._gone: tuple[type[Exception], ...] = (*gone, of.GetTimeoutError)
         n_envs = len(env_fns)
         n_actors = min(n_envs, n_actors or max(1, int(self._ray.cluster_resources().get("CPU", 1))))
         self._groups = [group.tolist() for group in np.array_split(np.arange(n_envs), n_actors)]
         self._env_fns = list(env_fns)
-        self._slots: list[SlotState | None] = [None] * n_envs
+        self._slots: list[dict[str, Any]] = [{} for _ in env_fns]  # by environment, what `set_slots` was given
         self._first_seeds: list[int | None] = [None] * n_envs
-        self._seen: list[Any] = [None] * n_envs
+        self._seen: list[Any] = [None] * n_envs  # the last observations
         self._losses_in_a_row = [0] * n_actors
-        self._anew: dict[int, list[Any]] = {}
+        self._anew: dict[int, list[Any]] = {}  # by actor, answers to the next step of environments that started anew
         self._outboxes: list[list[Message]] = [[] for _ in range(n_actors)]
         self.lost_actors = 0
         self.waiting = False
@@ -239,6 +197,7 @@ class RayVecEnv(SubprocVecEnv):
         self.processes = []
         self.remotes: Any = [_Pipe(self, a, i) for a, group in enumerate(self._groups) for i in range(len(group))]
         self._actors = [self._start(a) for a in range(n_actors)]
+        self.step_timeout: float | None = None  # to make an environment may take longer than a step
         firsts = [self.remotes[group[0]] for group in self._groups]
         for first in firsts:
             first.send(("get_spaces", None))
@@ -257,9 +216,12 @@ class RayVecEnv(SubprocVecEnv):
         if self._ray.is_initialized():
             closing = [actor.close.remote() for actor in self._actors]
             self._ray.wait(closing, num_returns=len(closing), timeout=PATIENCE)
-            for actor in self._actors:
-                with suppress(self._ray.exceptions.RayError):
-                    self._ray.kill(actor)
+            for actor in range(len(self._actors)):
+                self._kill(actor)
+
+    def _kill(self, actor: int) -> None:
+        with suppress(self._ray.exceptions.RayError):
+            self._ray.kill(self._actors[actor])
 
     def _exchange(self) -> None:
         """Send the messages that wait. An actor that is lost starts anew and gets them again, but not a step."""
@@ -268,104 +230,90 @@ class RayVecEnv(SubprocVecEnv):
         for remote in self.remotes:
             remote.inbox.clear()  # an error may have left something
         while outgoing:
-            for a, messages in list(outgoing.items()):
-                if messages[0][1] == "reset":
-                    self._anew.pop(a, None)
-                    for i, _, (seed, _) in messages:
-                        if seed is not None:
-                            self._first_seeds[self._groups[a][i]] = seed
-                elif messages[0][1] == "step" and a in self._anew:
-                    self._deliver(a, outgoing.pop(a), self._anew.pop(a))
+            for a in [a for a, messages in outgoing.items() if messages[0][1] == "step" and a in self._anew]:
+                self._deliver(a, outgoing.pop(a), self._anew.pop(a))
+            until = None if self.step_timeout is None else time.monotonic() + self.step_timeout
             sent = {a: self._actors[a].answer.remote(messages) for a, messages in outgoing.items()}
-            done, lost = self._collect(sent, self._deadline())
-            for a, (answers, slots) in done.items():
-                if outgoing[a][0][1] in ("step", "reset"):
-                    self._losses_in_a_row[a] = 0
-                for i, state in slots.items():
-                    self._slots[self._groups[a][i]] = state
-                self._deliver(a, outgoing.pop(a), answers)
-            for a, error in lost.items():
-                self._start_anew(a, error)
+            lost: dict[int, Exception] = {}
+            for a, reference in sent.items():
+                try:
+                    answers = self._get(reference, until)
+                except self._gone as error:
+                    lost[a] = error
+                else:
+                    if outgoing[a][0][1] in ("step", "reset"):
+                        self._losses_in_a_row[a] = 0
+                    self._deliver(a, outgoing.pop(a), answers)
+            for a, why in lost.items():
+                self._start_anew(a, why)
 
     def _deliver(self, actor: int, messages: Sequence[Message], answers: Sequence[Any]) -> None:
-        # What Ray hands out cannot be written to.
-        for (i, command, _), answer in zip(messages, copy.deepcopy(answers), strict=True):
+        """Put answers where they are waited for, and note what environments that start anew will need."""
+        for (i, command, data), answer in zip(messages, answers, strict=True):
             env = self._groups[actor][i]
             if command in ("step", "reset"):
                 self._seen[env] = answer[0]
+            if command == "reset":
+                self._anew.pop(actor, None)
+                self._first_seeds[env] = self._first_seeds[env] if data[0] is None else data[0]
+            if command == "env_method" and data[0] in ("set_slots", "set_option"):
+                changes = data[2] if data[0] == "set_slots" else {"options": dict([data[1]])}
+                options = {**self._slots[env].get("options", {}), **changes.get("options", {})}
+                self._slots[env] = {**self._slots[env], **changes, "options": options}
             self.remotes[env].inbox.append(answer)
 
-    def _collect(self, references: dict[int, Any], until: float | None) -> tuple[dict[int, Any], dict[int, Exception]]:
-        """What actors answer, and why those that are lost do not."""
-        results: dict[int, Any] = {}
-        lost: dict[int, Exception] = {}
-        for a, reference in references.items():
-            try:
-                results[a] = self._get(reference, until)
-            except self._lost_errors() as error:
-                lost[a] = error
-        return results, lost
-
-    def _deadline(self) -> float | None:
-        """When an actor that is asked now counts as lost."""
-        return None if self.step_timeout is None else time.monotonic() + self.step_timeout
-
-    def _get(self, references: Any, until: float | None = None) -> Any:
-        """``ray.get``, where an error in an environment is that error."""
+    def _get(self, reference: Any, until: float | None = None) -> list[Any]:
+        """The answers of an actor. An error in an environment is that error."""
         limit = None if until is None else max(LEAST_WAIT, until - time.monotonic())
         try:
-            return self._ray.get(references, timeout=limit)
+            answers: list[Any] = copy.deepcopy(self._ray.get(reference, timeout=limit))  # it cannot be written to
         except self._ray.exceptions.RayTaskError as error:
-            if isinstance(error.cause, Exception) and not isinstance(error.cause, self._ray.exceptions.RayError):
-                raise error.cause from error
-            raise
-
-    def _lost_errors(self) -> tuple[type[Exception], ...]:
-        of = self._ray.exceptions
-        gone = of.RayActorError, of.NodeDiedError, of.WorkerCrashedError, of.ObjectLostError, of.OutOfMemoryError
-        return (*gone, of.GetTimeoutError)
+            raise error.cause if isinstance(error.cause, Exception) else error from error
+        return answers
 
     def _start_anew(self, actor: int, why: Exception) -> None:
         """Start the environments of a lost actor elsewhere, with what was set in them."""
-        group = self._groups[actor]
-        named = f"{group[0]} to {group[-1]}" if len(group) > 1 else f"{group[0]}"
-        which = f"Environment{'s' if len(group) > 1 else ''} {named} of {len(self._env_fns)}"
-        if self._seen[group[0]] is not None:
+        which = f"Environments {self._groups[actor]} of {len(self._env_fns)}"
+        reason = type(why).__name__
+        if self._seen[self._groups[actor][0]] is not None:
             self.lost_actors += 1
             logger.warning(
                 "%s: the machine or the process is gone (%s). They start anew elsewhere; their episodes end as "
                 "truncated.",
                 which,
-                type(why).__name__,
+                reason,
             )
-        while True:
+        while self._losses_in_a_row[actor] < MOST_LOSSES:
+            if self._losses_in_a_row[actor]:
+                time.sleep(FIRST_WAIT * 2.0 ** (self._losses_in_a_row[actor] - 1))
             self._losses_in_a_row[actor] += 1
-            losses = self._losses_in_a_row[actor]
-            if losses > MOST_LOSSES:
-                raise WorkerLostError(
-                    f"{which}: lost {losses} times without a step between. {type(why).__name__}",
-                    "If memory is short, train with fewer of them or more machines; `ray status` shows these.",
-                    killed=True,
-                ) from why
-            if losses > 1:
-                time.sleep(FIRST_WAIT * 2.0 ** (losses - 2))
-            with suppress(self._ray.exceptions.RayError):
-                self._ray.kill(self._actors[actor])
+            self._kill(actor)
             self._actors[actor] = self._start(actor)
-            try:
+            with suppress(*self._gone):
                 self._begin(actor)
-            except self._lost_errors() as error:
-                why = error
-            else:
                 return
+        raise WorkerLostError(
+            f"{which}: lost {MOST_LOSSES + 1} times without a step between. {reason}",
+            "If memory is short, train with fewer of them or more machines; `ray status` shows these.",
+            killed=True,
+        ) from why
 
     def _begin(self, actor: int) -> None:
-        group = self._groups[actor]
-        slots = [self._slots[i] for i in group]
-        last = None if self._seen[group[0]] is None else [self._seen[i] for i in group]
-        answers = self._get(self._actors[actor].begin.remote(slots, [self._later_seed(i) for i in group], last))
-        if answers:
-            self._anew[actor] = answers
+        """Put options into environments that start anew, reset them, and keep the answers to the step that is lost."""
+        envs = list(enumerate(self._groups[actor]))
+        seen = [self._seen[env] for _, env in envs]
+        set_again = [(i, "env_method", ("set_slots", (), self._slots[env])) for i, env in envs if self._slots[env]]
+        outermost = [(i, "is_wrapped", Outermost) for i, *_ in set_again]  # what is asked of each at first
+        ask = self._actors[actor].answer.remote
+        self._get(ask([*outermost, *set_again]))
+        if seen[0] is None:
+            return
+        resets = self._get(ask([(i, "reset", (self._later_seed(env), {})) for i, env in envs]))
+        infos = self._get(ask([(i, "lost_step", seen[i]) for i, _ in envs]))
+        self._anew[actor] = [
+            (observation, 0.0, True, info, reset_info)
+            for (observation, reset_info), info in zip(resets, infos, strict=True)
+        ]
 
     def _later_seed(self, env: int) -> int | None:
         """A seed that no environment has had; None where none was seeded."""

@@ -133,7 +133,7 @@ def test_a_machine_is_lost_in_mid_training(
         assert (info["option"]["duration"], info["option"]["termination"]) == (1, "truncated")
     warned = [record.getMessage() for record in caplog.records if "start anew" in record.getMessage()]
     assert len(warned) == 1
-    assert warned[0].startswith(f"Environments {lost[0]} to {lost[1]} of 4: the machine or the process is gone (")
+    assert warned[0].startswith(f"Environments {lost} of 4: the machine or the process is gone (")
     # Options and recording are in the new environments, too.
     assert [bank.filled for bank in venv.get_attr("bank")] == [discovery.bank.filled] * 4
     assert {*discovery.bank.filled} == {0}
@@ -241,6 +241,6 @@ def test_faults_of_environments(nodes: TwoNodes, ray_envs: list[RayVecEnv], monk
         with pytest.raises(ValueError, match=r"^left is the only way$"):
             venv.step(np.array([1]))
         venv.step(np.array([0]))
-        text = r"^Environment 0 of 1: lost 2 times without a step between\. .* memory"
+        text = r"^Environments \[0\] of 1: lost 2 times without a step between\. .* memory"
         with pytest.raises(WorkerLostError, match=text):
             venv.step(np.array([0]))
