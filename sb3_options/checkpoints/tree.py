@@ -7,8 +7,9 @@ the file. An array or a value that occurs twice is one object again.
 
 from __future__ import annotations
 
+import base64
 import math
-from collections import Counter, OrderedDict, deque
+from collections import deque
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,13 +26,6 @@ MARK = "$"  # key of a JSON object that stands for something else than a diction
 
 PLAIN = (bool, int, str, float, type(None))
 KINDS = "biuf"  # kinds of arrays that safetensors holds: truth values, whole numbers and floats
-
-
-MAPS: dict[str, type[dict[Any, Any]]] = {"map": dict, "ordered": OrderedDict, "counter": Counter}
-MANY = 10
-"""So many records of numbers are stored by column."""
-
-ITEMS: dict[str, type[Any]] = {"tuple": tuple, "set": set, "frozenset": frozenset}
 
 
 def encode(state: Any) -> tuple[Any, Arrays]:
@@ -56,11 +50,9 @@ class _Encoder:
         kind = type(value)
         if kind in PLAIN:
             return value if kind is not float or math.isfinite(value) else {MARK: "float", "value": repr(value)}
-        if kind in MAPS.values():
+        if isinstance(value, dict):
             return self._dictionary(value, where)
         if kind is list:
-            if (columns := _columns(value)) is not None:
-                return {MARK: "rows", "name": type(value[0]).__name__, "columns": self.encoded(columns, where)}
             return [self.encoded(each, f"{where}[{i}]") for i, each in enumerate(value)]
         if VALUES.get(kind.__name__) is kind:
             return self._value(value, where)
@@ -73,35 +65,19 @@ class _Encoder:
         if isinstance(value, np.generic):
             return {MARK: "scalar", **self._array(value, np.asarray(value), where)}
         if kind is bytes:
-            return {MARK: "bytes", **self._array(value, np.frombuffer(value, dtype=np.uint8), where)}
+            return {MARK: "bytes", "value": base64.b64encode(value).decode()}
         if kind is deque:
             items = [self.encoded(each, f"{where}[{i}]") for i, each in enumerate(value)]
             return {MARK: "deque", "items": items, "maxlen": value.maxlen}
-        if kind in (set, frozenset):
-            return {MARK: kind.__name__, "items": [self.encoded(each, where) for each in _ordered(value)]}
-        if kind is torch.dtype:
-            return {MARK: "dtype", "name": str(value).removeprefix("torch.")}
+        if kind is set:
+            return {MARK: "set", "items": [self.encoded(each, where) for each in sorted(value)]}
         raise TypeError(f"a {kind.__name__} cannot be stored, at {where or 'the top'}")
 
     def _dictionary(self, value: dict[Any, Any], where: str) -> Any:
-        if type(value) is dict and all(type(key) is str for key in value) and MARK not in value:
+        if all(type(key) is str for key in value) and MARK not in value:
             return {key: self.encoded(each, f"{where}.{key}") for key, each in value.items()}
-        if all(type(key) is bytes for key in value) and set(map(type, value.values())) == {int}:
-            return self._counts(value, where)
-        mark = next(name for name, kind in MAPS.items() if kind is type(value))
         items = [[self.encoded(k, where), self.encoded(each, f"{where}[{k!r}]")] for k, each in value.items()]
-        return {MARK: mark, "items": items}
-
-    def _counts(self, value: dict[bytes, int], where: str) -> Any:
-        """Numbers by key, such as visits of states: one array instead of one for every key."""
-        lengths = np.array([len(key) for key in value], dtype=np.int64)
-        mark = next(name for name, kind in MAPS.items() if kind is type(value))
-        content = {
-            "keys": b"".join(value),
-            "lengths": lengths,
-            "counts": np.array(list(value.values()), dtype=np.int64),
-        }
-        return {MARK: "counts", "as": mark, "of": self.encoded(content, where)}
+        return {MARK: "map", "items": items}
 
     def _array(self, value: Any, array: npt.NDArray[Any], where: str) -> State:
         if array.dtype.kind not in KINDS or not array.dtype.isnative:
@@ -147,24 +123,15 @@ class _Decoder:
             return self._made[content["value"]]
         if mark == "float":
             return float(content["value"])
-        if mark in ("array", "tensor", "scalar", "bytes"):
+        if mark == "bytes":
+            return base64.b64decode(content["value"])
+        if mark in ("array", "tensor", "scalar"):
             return self._array(content, mark)
-        if mark == "dtype":
-            return {"float32": torch.float32, "float64": torch.float64}[content["name"]]
-        if mark == "counts":
-            of = self.decoded(content["of"])
-            ends = np.cumsum(of["lengths"]).tolist()
-            keys = [of["keys"][end - n : end] for end, n in zip(ends, of["lengths"].tolist(), strict=True)]
-            return MAPS[content["as"]](dict(zip(keys, of["counts"].tolist(), strict=True)))
-        if mark == "rows":
-            names, columns = zip(*self.decoded(content["columns"]).items(), strict=True)
-            rows = zip(*(column.tolist() for column in columns), strict=True)
-            return [made(content["name"], dict(zip(names, row, strict=True))) for row in rows]
-        if mark in MAPS:
-            return MAPS[mark]({self.decoded(key): self.decoded(each) for key, each in content["items"]})
+        if mark == "map":
+            return {self.decoded(key): self.decoded(each) for key, each in content["items"]}
         if "items" in content:
             items = (self.decoded(each) for each in content["items"])
-            return deque(items, content["maxlen"]) if mark == "deque" else ITEMS[mark](items)
+            return deque(items, content["maxlen"]) if mark == "deque" else {"tuple": tuple, "set": set}[mark](items)
         new = made(mark, self.decoded(content["fields"]))
         self._made.append(new)
         return new
@@ -176,28 +143,4 @@ class _Decoder:
             array = self._views.setdefault(number, array.T)
         if mark == "scalar":
             return array[()]
-        if mark == "bytes":
-            return array.tobytes()
         return self._tensors.setdefault(number, torch.from_numpy(array)) if mark == "tensor" else array
-
-
-def _ordered(value: Any) -> list[Any]:
-    """Elements of a set in an order that does not depend on the process, where they have one."""
-    try:
-        return sorted(value)
-    except TypeError:
-        return list(value)
-
-
-def _columns(values: list[Any]) -> dict[str, npt.NDArray[Any]] | None:
-    """The fields of records of numbers as arrays, such as the returns of all episodes; None where they are others."""
-    kinds = {type(each) for each in values}
-    if len(values) < MANY or len(kinds) > 1 or VALUES.get(kinds.pop().__name__) is not type(values[0]):
-        return None
-    columns = {}
-    for name in names_of(type(values[0])):
-        column = [getattr(each, name) for each in values]
-        if set(map(type, column)) not in ({int}, {float}, {bool}):
-            return None
-        columns[name] = np.array(column)
-    return columns if all(each.dtype.kind in "bif" for each in columns.values()) else None

@@ -1,6 +1,6 @@
 import json
 import math
-from collections import Counter, OrderedDict, deque
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -45,12 +45,8 @@ def there_and_back(state: object) -> object:
         {"$": 1},
         {1: {"a": ()}},
         {3, 1},
-        frozenset("a"),
         deque([1, (2,)], 5),
-        OrderedDict(b=1, a=2),
-        Counter("aab"),
         {b"a": 1, b"": 2, b"abc": -3},
-        Counter([b"a", b"a"]),
         [Number(i, i / 3, done=i > 5) for i in range(20)],
     ],
     ids=repr,
@@ -124,7 +120,6 @@ def test_says_what_cannot_be_stored_and_where(value: object, what: str) -> None:
         {"$": "array", "array": "9"},
         {"$": "same", "value": 5},
         {"$": "deque", "items": [], "maxlen": -1},
-        {"$": "dtype", "name": "os.system"},
         {"$": "map", "items": [[{}, 1]]},
     ],
     ids=str,
