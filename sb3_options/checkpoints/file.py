@@ -222,13 +222,13 @@ def _sync(folder: Path) -> None:
 
 class _Written(NamedTuple):
     array: weakref.ref[npt.NDArray[Any]]
-    growth: tuple[int, int, int]
+    changes: int
     per_block: int
     names: list[str]
 
 
 class KnownBlocks:
-    """The names of the blocks that the last checkpoint was written with, for arrays that tell how they grow."""
+    """The names of the blocks that the last checkpoint was written with, for arrays that tell what has changed."""
 
     def __init__(self, growing: Sequence[Growing] = (), before: KnownBlocks | None = None) -> None:
         self._growing = {_address(each.array): each for each in growing}
@@ -240,25 +240,16 @@ class KnownBlocks:
         now, then = self._growing.get(_address(rows)), self._before.get(_address(rows))
         if now is None or then is None or then.array() is not now.array or then.per_block != per_block:
             return {}
-        written, at, changes = then.growth
-        new = now.written - written
-        if now.changes != changes or new < 0 or new >= len(now.array):
-            return {}
-        end = at + new  # beyond the last row it goes on with the first one
-        over = end - len(now.array)
-        starts = (number * per_block for number in range(len(then.names)))
-        return {
-            start: name
-            for start, name in zip(starts, then.names, strict=True)
-            if (start + per_block <= at or start >= end) and start >= over
-        }
+        starts = range(0, len(rows), per_block)
+        changed_at = np.maximum.reduceat(now.changed_at[: len(rows)], starts)
+        known = zip(starts, then.names, changed_at, strict=False)  # by now there may be more or fewer rows
+        return {start: name for start, name, at in known if at <= then.changes}
 
     def keep(self, rows: npt.NDArray[Any], per_block: int, names: list[str]) -> None:
         """Remember the blocks of an array, if it tells how it grows."""
         now = self._growing.get(_address(rows))
         if now is not None:
-            growth = now.written, now.at, now.changes
-            self._written[_address(rows)] = _Written(weakref.ref(now.array), growth, per_block, names)
+            self._written[_address(rows)] = _Written(weakref.ref(now.array), now.changes, per_block, names)
 
 
 def _address(array: npt.NDArray[Any]) -> int:

@@ -47,14 +47,10 @@ class OptionReplayBufferSamples(NamedTuple):
 
 
 class Growing(NamedTuple):
-    """How far an array has come that is written row by row, and over its oldest rows once it is full.
-
-    ``changes`` counts how often rows were changed in another way.
-    """
+    """An array with, for each row, at which of its ``changes`` so far that was written last."""
 
     array: npt.NDArray[Any]
-    written: int
-    at: int
+    changed_at: npt.NDArray[np.int64]
     changes: int
 
 
@@ -113,8 +109,8 @@ class OptionReplayBuffer(ReplayBuffer):
         self.macro_q = macro_q
         self.n_steps = n_steps
         self._successors = Successors(buffer_size, n_envs) if n_steps > 1 else None
-        self.written = 0
-        self.copies = 0
+        self.changes = 0
+        self._changed_at = np.zeros(buffer_size, dtype=np.int64)
         self._spaces = (
             observation_space.spaces if isinstance(observation_space, spaces.Dict) else {"": observation_space}
         )
@@ -164,7 +160,6 @@ class OptionReplayBuffer(ReplayBuffer):
         rows, others = np.flatnonzero(named), np.flatnonzero(~named)
         if len(rows) == 0:
             return
-        self.copies += 1
         if self._successors is not None:
             self._successors.cut(rows)
         if len(others) == 0:
@@ -173,6 +168,7 @@ class OptionReplayBuffer(ReplayBuffer):
         source = others[np.searchsorted(others, rows) % len(others)]
         for column in self._columns():
             column[rows] = column[source]
+        self._note_change(rows)
 
     def add(
         self,
@@ -267,9 +263,13 @@ class OptionReplayBuffer(ReplayBuffer):
         self.discounts[rows] = discounts
         if self.tracks_availability:
             self.next_available[rows] = False if available is None else available
-        self.written += n
+        self._note_change(rows)
         self.full = self.full or self.pos + n >= self.buffer_size
         self.pos = (self.pos + n) % self.buffer_size
+
+    def _note_change(self, rows: slice | npt.NDArray[Any]) -> None:
+        self.changes += 1
+        self._changed_at[rows] = self.changes
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
         """Draw an `OptionReplayBufferSamples` uniformly, with replacement."""
@@ -311,7 +311,7 @@ class OptionReplayBuffer(ReplayBuffer):
     def growing(self) -> list[Growing]:
         """The observations, most of the memory: a checkpoint reads only the new ones."""
         return [
-            Growing(array, self.written, self.pos, self.copies)
+            Growing(array, self._changed_at, self.changes)
             for array in (*self._observations.values(), *self._next_observations.values())
         ]
 
@@ -319,14 +319,15 @@ class OptionReplayBuffer(ReplayBuffer):
         """For a checkpoint: the stored rows, which are not copied, and the counters."""
         size = self.size()
         return {
-            "counters": (self.pos, self.full, self.written),
+            "counters": (self.pos, self.full),
             "columns": [column[:size] for column in self._columns()],
             "successors": None if self._successors is None else self._successors.get_state(size),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Hold what `get_state` gave, in the arrays that there are."""
-        self.pos, self.full, self.written = state["counters"]
+        self.pos, self.full = state["counters"]
+        self._note_change(np.s_[:])
         for column, rows in zip(self._columns(), state["columns"], strict=True):
             if rows.shape[1:] != column.shape[1:]:
                 raise ValueError(f"The checkpoint has rows of shape {rows.shape[1:]}, the buffer {column.shape[1:]}.")

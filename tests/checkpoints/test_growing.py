@@ -19,19 +19,25 @@ class Ring:
 
     def __init__(self) -> None:
         self.array = np.zeros((CAPACITY, WIDTH))
+        self.changed_at = np.zeros(CAPACITY, dtype=np.int64)
         self.written = self.changes = 0
 
     @property
     def stored(self) -> np.ndarray[Any, Any]:
         return self.array[: min(self.written, CAPACITY)]
 
+    def put(self, rows: Any, values: Any) -> None:
+        self.changes += 1
+        self.array[rows] = values
+        self.changed_at[rows] = self.changes
+
     def write(self, n: int) -> None:
         for _ in range(n):
             self.written += 1
-            self.array[(self.written - 1) % CAPACITY] = self.written
+            self.put((self.written - 1) % CAPACITY, self.written)
 
     def growing(self) -> list[Growing]:
-        return [Growing(self.array, self.written, self.written % CAPACITY, self.changes)]
+        return [Growing(self.array, self.changed_at, self.changes)]
 
 
 @pytest.fixture
@@ -59,8 +65,7 @@ def test_whatever_was_written_is_in_the_checkpoint(folder: CheckpointFolder, rng
     for step in range(150):
         ring.write(int(rng.choice([0, 1, 3, PER_BLOCK, 37, CAPACITY - 1, CAPACITY, 2 * CAPACITY + 5])))
         if rng.random() < 0.1:  # as where a slot was emptied
-            ring.array[rng.integers(CAPACITY, size=5)] = -1
-            ring.changes += 1
+            ring.put(rng.integers(CAPACITY, size=5), -1)
         file = folder.save(step, {"rows": ring.stored}, growing=ring.growing())
         np.testing.assert_array_equal(read(file)["rows"], ring.stored)
 

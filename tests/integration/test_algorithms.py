@@ -116,7 +116,7 @@ def test_the_table(name: str) -> None:
     stores = isinstance(getattr(model, "replay_buffer", None), OptionReplayBuffer)
     assert promise.macro_q is (stores and model.replay_buffer.macro_q)
     if promise.macro_q:
-        assert model.replay_buffer.written == model.num_timesteps + len(watch.durations)
+        assert model.replay_buffer.size() == model.num_timesteps + len(watch.durations)
 
     # Masks
     assert promise.masks is all(watch.began_inside)
