@@ -140,7 +140,6 @@ class OptionInstaller:
     def on_rollout_start(self) -> None:
         """Install pending options and remove closed ones."""
         self._uninstall_closed()
-        self._close_decayed()
         for slot, option in self._pending.items():
             self._install_now(slot, option)
         self._pending.clear()
@@ -240,14 +239,6 @@ class OptionInstaller:
         if self._closing:
             keep_options(self.model, self.bank)
         self._closing.clear()
-
-    def _close_decayed(self) -> None:
-        """Close the heads of empty slots again where weight decay has raised their bias towards 0."""
-        if not (self.family.has_heads and heads.decays(self.model.policy)):
-            return
-        for slot, option in enumerate(self.venv.get_attr("bank", [0])[0].slots):  # a user may have put an option in
-            if option is None and heads.is_raised(self.model.policy, self.n_primitive + slot):
-                heads.close_head(self.model.policy, self.n_primitive + slot)
 
     def _send(self, slot: int, option: Option, *, present: bool = False) -> None:
         """Put an option into all environments; ``present`` says that those of the training have one of that name."""

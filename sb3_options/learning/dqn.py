@@ -95,15 +95,13 @@ class OptionDQN(MaskedPrediction, DQN):
         buffer = self._option_buffer()
         n_primitive = n_actions_of(self) - self._n_slots
         put_back(self, self.env)  # before a slot is taken for empty
-        filled = self.env.get_attr("bank", [0])[0].filled
-        for slot in set(range(self._n_slots)) - set(filled):
+        for slot in set(range(self._n_slots)) - set(self.env.get_attr("bank", [0])[0].filled):
             forget_empty(self, slot, n_primitive)
         if not buffer.tracks_availability:  # it was loaded, and another algorithm had filled it
             buffer.track_availability(self._n_slots)
             if buffer.size():
                 available = stored_availability(buffer, self.env)
-                for slot in filled:
-                    buffer.set_next_available(slot, available[:, n_primitive + slot])
+                buffer.next_available[: buffer.size()] = available[:, n_primitive:]
         return result
 
     def _option_buffer(self) -> OptionReplayBuffer:

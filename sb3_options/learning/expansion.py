@@ -10,7 +10,6 @@ from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.utils import check_for_correct_spaces
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 
-from sb3_options.checked import whole
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import FeatureMap
@@ -46,38 +45,23 @@ def expand_action_space(
 
     Raises:
         TypeError: Actions are not discrete, or the policy is none that is known.
-        ValueError: The model has slots already, ``max_options`` is no whole number of at least 1, or ``env`` is missing
-            or does not fit. Nothing has been changed then.
+        ValueError: The model has slots already, or ``env`` is missing or does not fit. Nothing has been changed then.
     """
-    n_primitive = _n_actions(model)
-    if not whole(max_options, 1):
-        raise ValueError(f"max_options must be a whole number of at least 1, got {max_options!r}.")
+    family, actions = family_of(model), model.action_space
+    if not (isinstance(family, Networks) and isinstance(actions, spaces.Discrete)):
+        raise TypeError(f"{type(model).__name__} has no networks with an output for each of its actions, {actions}.")
+    n_primitive = int(actions.n)
     if model.env is not None and any(model.env.env_is_wrapped(OptionsWrapper)):
         raise ValueError(
             f"The model's environment is wrapped in OptionsWrapper already: among its {n_primitive} actions are "
             "option slots, and their number cannot be changed any more."
         )
-    family = family_of(model)
-    if not isinstance(family, Networks):
-        raise TypeError(
-            f"{type(model).__name__} has no networks with an output for each action, to which to add slots."
-        )
     family.check_heads()
     venv = _fitting(model, env, n_primitive, max_options, feature_map)
     # With the same generator, so that exploration continues.
-    family.widen(spaces.Discrete(n_primitive + max_options, seed=model.action_space.np_random))
+    family.widen(spaces.Discrete(n_primitive + max_options, seed=actions.np_random))
     model.set_env(venv)
     return model
-
-
-def _n_actions(model: BaseAlgorithm) -> int:
-    space = model.action_space
-    if not isinstance(space, spaces.Discrete) or space.start != 0:
-        raise TypeError(
-            f"expand_action_space needs a model whose actions are Discrete and start at 0, got {space}: options "
-            "choose among numbered primitive actions."
-        )
-    return int(space.n)
 
 
 def _fitting(

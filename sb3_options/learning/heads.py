@@ -16,9 +16,6 @@ import torch
 CLOSED_VALUE = -1e6
 """Bias of a closed output: below any return, of probability 0 as a logit, and far from where float32 overflows."""
 
-RAISED_VALUE = 0.9 * CLOSED_VALUE
-"""A bias that weight decay has raised above this is closed again."""
-
 ROUNDING = 1e-4
 """By so much of what is added to one output others may move, and itself may differ."""
 
@@ -97,17 +94,6 @@ def close_head(policy: Any, action: int) -> None:
         layer.bias[rows] = CLOSED_VALUE
 
 
-def decays(policy: Any) -> bool:
-    """Whether the optimizer has weight decay, as AdamW has, which slowly opens closed outputs."""
-    return any(group.get("weight_decay", 0.0) for group in policy.optimizer.param_groups)
-
-
-def is_raised(policy: Any, action: int) -> bool:
-    """Whether the bias of an action is above `RAISED_VALUE`."""
-    layer, outputs = option_outputs(policy)[0]
-    return bool((layer.bias[rows_of(layer, outputs, action)] > RAISED_VALUE).any())
-
-
 @torch.no_grad()
 def forget_moments(policy: Any, action: int) -> None:
     """Zero the optimizer's moments of an action's head, which would move it after it was closed."""
@@ -143,10 +129,10 @@ def open_head(policy: Any, action: int, n_primitive: int, *, odds: float | None 
 
 
 def is_closed(policy: Any, action: int) -> bool:
-    """Whether ``action`` is closed."""
+    """Whether ``action`` is closed, also after weight decay (AdamW's) has raised its bias a little."""
     layer, outputs = option_outputs(policy)[0]
     rows = rows_of(layer, outputs, action)
-    return bool((layer.bias[rows] <= CLOSED_VALUE / 2).all())
+    return not layer.weight[rows].any() and bool((layer.bias[rows] <= CLOSED_VALUE / 1000).all())
 
 
 @torch.no_grad()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any, cast
 
 import numpy as np
@@ -16,8 +15,6 @@ from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.experience.observations import BoolArray, FloatArray, batch_of_one, batch_size, take
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
-logger = logging.getLogger("sb3_options")
-
 AVAILABILITY_CHUNK = 4096  # stored observations are sent to the environment in batches of this many
 
 
@@ -27,22 +24,13 @@ def n_actions_of(model: BaseAlgorithm) -> int:
 
 
 def unnormalized(normalizer: VecNormalize, observations: Any) -> Any:
-    """A batch of observations as it was before ``VecNormalize``.
+    """A batch of observations as it was before ``VecNormalize``, but for numbers that it clipped.
 
-    A number that was clipped cannot be recovered from the batch. The environment's current observations are therefore
-    recognised, and its originals returned; for any other batch with clipped numbers there is a warning.
+    Those of the environment's current observations are recovered, too.
     """
     original = normalizer.old_obs  # empty before the first reset
     if len(original) and _equal(normalizer.normalize_obs(original), observations):
         return original
-    parts = [observations]
-    if isinstance(observations, dict):
-        parts = [observations[key] for key in normalizer.norm_obs_keys or ()]
-    if normalizer.norm_obs and any((np.abs(part) >= normalizer.clip_obs).any() for part in parts):
-        logger.warning(
-            "An observation was clipped by VecNormalize, so that which options may start in it is not certain: pass "
-            "predict(..., action_masks=env.env_method('action_masks')), or a larger clip_obs."
-        )
     return normalizer.unnormalize_obs(observations)
 
 

@@ -43,27 +43,13 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds no options, these do not fit the environment, or the algorithm cannot load it, as one that
-            another saved; not every such model is told.
+        ValueError: It holds no options, it does not fit the environment, or its weights are not finite.
     """
     path = Path(path)
     if not path.is_file() and path.suffix != ".zip":
         path = Path(f"{os.fspath(path)}.zip")  # as SB3 does
     content = content_in(path)
-    try:
-        model = algorithm.load(path, env=env, **kwargs)
-    except ValueError as error:
-        if "spaces do not match" not in str(error):
-            raise
-        raise ValueError(
-            f"{path} does not fit the environment: {error}. It needs OptionsWrapper(env, max_options=...) with as many "
-            "slots as in training, and the same environment beneath."
-        ) from error
-    except (AttributeError, TypeError) as error:  # what SB3 raises where the networks are another algorithm's
-        raise ValueError(
-            f"{path} could not be loaded by {algorithm.__name__}: {error}. If another algorithm saved it, load it with "
-            "that one."
-        ) from error
+    model = algorithm.load(path, env=env, **kwargs)
     check_finite(model, path)
     venv = _env_of(model)
     load_options(content, venv)

@@ -173,34 +173,6 @@ class TestCheckpoints:
 
 
 @pytest.mark.parametrize("algorithm", [DQN, PPO])
-@both
-def test_weight_decay_opens_no_empty_slot(algorithm: Any, callback: Any) -> None:
-    """AdamW halves a bias in ln 2 / (learning rate · decay) updates."""
-    decay = {
-        "net_arch": [8],
-        "optimizer_class": torch.optim.AdamW,
-        "optimizer_kwargs": {"weight_decay": 1.0},
-    }
-    env = optioned_rooms(2)
-    rollouts: dict[str, Any] = {"n_steps": 16, "batch_size": 16, "n_epochs": 1, "seed": 0, "device": "cpu"}
-    model = (
-        model_of(env, policy_kwargs=decay, learning_rate=1e-2)
-        if algorithm is DQN
-        else PPO("MlpPolicy", env, gamma=DISCOUNT, policy_kwargs=decay, learning_rate=1e-2, **rollouts)
-    )
-    assert heads.decays(model.policy)
-    model.learn(3000, callback=callback())
-    assert model._n_updates > 150
-    assert [heads.is_closed(model.policy, action) for action in (4, 5)] == [True, True]
-    layer, _ = heads.option_outputs(model.policy)[0]
-    assert (layer.bias[4:6] <= heads.RAISED_VALUE).all()
-    env.set_option(1, steady_option(1, max_duration=2))
-    before_the_first_step(model, callback())
-    assert layer.bias[4] <= heads.RAISED_VALUE
-    assert layer.bias[5] == layer.bias[:4].mean()
-
-
-@pytest.mark.parametrize("algorithm", [DQN, PPO])
 def test_counting_alone_leaves_the_head_of_an_option_as_it_was_initialised(algorithm: Any) -> None:
     env = with_option()
     model = model_of(env) if algorithm is DQN else PPO("MlpPolicy", env, gamma=DISCOUNT, n_steps=64, device="cpu")

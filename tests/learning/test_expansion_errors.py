@@ -35,8 +35,8 @@ def test_errors_leave_the_model_as_it_was() -> None:
     model = small_model()
     weights = {key: value.clone() for key, value in model.policy.state_dict().items()}
     smaller = {"map": "SSS.\n...G", "max_steps": 9}
-    with pytest.raises(ValueError, match="max_options must be a whole number of at least 1, got 0"):
-        expand_action_space(model, 0)
+    with pytest.raises(ValueError, match="max_options must be a whole number"):
+        expand_action_space(model, -1)
     with pytest.raises(ValueError, match="env is not wrapped in OptionsWrapper: use OptionsWrapper"):
         expand_action_space(model, env=small_rooms())
     with pytest.raises(ValueError, match="Action spaces do not match"):
@@ -72,7 +72,7 @@ def test_other_models_are_refused() -> None:
             super().__init__()
             self.action_space = spaces.Box(-1.0, 1.0, (1,))
 
-    with pytest.raises(TypeError, match=r"whose actions are Discrete and start at 0, got Box\(-1.0, 1.0, \(1,\)"):
+    with pytest.raises(TypeError, match=r"has no networks with an output for each of its actions, Box\(-1.0"):
         expand_action_space(PPO("MlpPolicy", Continuous(), n_steps=8, batch_size=8, device="cpu"))
     model = small_model().learn(8)
     model.policy.q_net.q_net.append(torch.nn.Tanh())

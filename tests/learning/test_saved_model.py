@@ -119,20 +119,6 @@ def test_a_model_that_has_none_says_so(tmp_path: Path) -> None:
             load_model(DQN, tmp_path / name, optioned_rooms())
 
 
-def test_other_slots_than_in_training_are_told(tmp_path: Path) -> None:
-    trained(DQN).save(tmp_path / "model.zip")
-    for env in (optioned_rooms(7), small_rooms()):
-        with pytest.raises(ValueError, match=r"model\.zip does not fit the environment: Action spaces do not match: .*"
-                           r"OptionsWrapper\(env, max_options=\.\.\.\) with as many slots"):  # fmt: skip
-            load_model(DQN, tmp_path / "model.zip", env)
-
-
-def test_another_algorithm_than_saved_it_is_told(tmp_path: Path) -> None:
-    trained(PPO).save(tmp_path / "model.zip")
-    with pytest.raises(ValueError, match=r"model\.zip could not be loaded by DQN: .*If another algorithm saved it"):
-        load_model(DQN, tmp_path / "model.zip", optioned_rooms())
-
-
 def test_weights_that_are_nan_name_the_file(tmp_path: Path) -> None:
     model = trained(PPO)
     model.policy.value_net.weight.data[0, 0] = np.nan
