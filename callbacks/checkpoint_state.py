@@ -8,7 +8,7 @@ from typing import Any
 from stable_baselines3.common import callbacks as sb3
 from stable_baselines3.common.callbacks import BaseCallback
 
-from sb3_options.callbacks.counting import all_callbacks
+from sb3_options.callbacks.tree import all_callbacks
 from sb3_options.checkpoints.tree import State
 from sb3_options.state import own_state, set_own_state
 

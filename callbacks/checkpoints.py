@@ -13,8 +13,7 @@ from stable_baselines3.common.type_aliases import TrainFreq
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks import checkpoint_state
-from sb3_options.callbacks.counting import all_callbacks, check_every_step, evaluation_envs
-from sb3_options.checked import whole
+from sb3_options.callbacks.tree import all_callbacks, check_every_step, evaluation_envs
 from sb3_options.checkpoints import environments, models
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.checkpoints.tree import State
@@ -224,9 +223,8 @@ def load_checkpoint(
         raise ValueError("load_checkpoint needs a CheckpointCallback among the callbacks: it puts everything back.")
     file, state = CheckpointFolder(folder).newest()
     try:
-        there, steps = state["model"]["class"], state["model"]["counters"]["num_timesteps"]
-        steps = int(steps) if whole(steps, 0) else steps["no number"]
-    except (KeyError, TypeError) as error:
+        there, steps = state["model"]["class"], int(state["model"]["counters"]["num_timesteps"])
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{file} is no checkpoint of a training: {error!r}") from error
     if there != type(model).__name__:
         raise ValueError(f"The checkpoint is of {there}, the model is {type(model).__name__}.")

@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import (
     VecTransposeImage,
 )
 
-from sb3_options.callbacks.counting import check_every_step
+from sb3_options.callbacks.tree import check_every_step
 from sb3_options.execution.above import changing_steps
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.families import Family, Masked, family_of
@@ -38,8 +38,6 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
             "for each model."
         )
     traits = venv.get_attr("traits")
-    if callback.settings.segmentation == "peaks" and any(each.max_runs is not None for each in traits):
-        raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
     _check_same("feature maps", [each.feature_kind for each in traits])
     _check_same("max_runs", [each.max_runs for each in traits])
 

@@ -130,10 +130,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             venv,
             self.locals.get("callback"),
             max_option_exploration=use.max_option_exploration,
-            opening_share=use.opens_with,
             interruption=use.interruption,
         )
-        keeper.features = features_for(keeper.features, self._installer, self.embedding, self.seed, self.verbose)
+        keeper.features = features_for(keeper.features, self._installer, self.embedding, self.seed)
         if keeper.features is not None:
             check_learned(self.settings, self.option_settings, own=bool(self.method or self.concepts.groups))
         if self.discovery is None:

@@ -10,7 +10,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks.checks import check_same_slots
-from sb3_options.callbacks.counting import evaluation_envs
+from sb3_options.callbacks.tree import evaluation_envs
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.execution.exploration import cap_option_exploration
@@ -48,7 +48,6 @@ class OptionInstaller:
         callbacks: BaseCallback | None,
         *,
         max_option_exploration: float = 1.0,
-        opening_share: float = 1.0,
         interruption: bool = False,
         open_untrained: bool = True,
     ) -> None:
@@ -60,7 +59,7 @@ class OptionInstaller:
             monitor_primitive_steps(eval_env)
         self.family = family_of(model)
         self.buffer = self.family.replay_buffer
-        self.opening_share = opening_share
+        self.opening_share = max_option_exploration
         self._pending: dict[int, Option] = {}
         self._new: list[int] = []
         self._closing: set[int] = set()

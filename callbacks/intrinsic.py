@@ -10,7 +10,7 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
-from sb3_options.callbacks.counting import check_every_step
+from sb3_options.callbacks.tree import check_every_step
 from sb3_options.checked import is_number
 from sb3_options.embedding.settings import LEARNED
 from sb3_options.execution.features import MAX_FEATURES, flat_size

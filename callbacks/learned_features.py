@@ -9,7 +9,6 @@ from scipy.spatial.distance import cdist
 
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.discovery.anchors import moved, nearest_observations
-from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.embedding.learned_map import LearnedMap
@@ -30,9 +29,8 @@ class LearnedFeatures:
 
     STATE = ("learner", "_anchors")
 
-    def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int, verbose: int = 0) -> None:
+    def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int) -> None:
         self.map = feature_map
-        self.verbose = verbose
         self.learner = FeatureLearner(feature_map, settings, seed)
         # By slot the observations of subgoal and initiation set, and the points of that set that they have now.
         self._anchors: dict[int, tuple[Observations, Observations, FloatArray]] = {}
@@ -66,11 +64,7 @@ class LearnedFeatures:
 
     def learn_if_due(self, search: Discovery, options: OptionInstaller) -> bool:
         """Learn on the map if it is due, and move everything along once it has changed."""
-        before = self.learner.done
-        changed = search.learn_if_due(self.learner)
-        if self.verbose:
-            self._tell(before, search.diary, changed=changed)
-        if not changed:
+        if not search.learn_if_due(self.learner):
             return False
         options.send_learned_map()
         for slot, (subgoal, initiation, _) in list(self._anchors.items()):
@@ -80,14 +74,6 @@ class LearnedFeatures:
                 options.replace(slot, option.with_regions(moved(option.subgoal, subgoal, self.map), region))
                 self._anchors[slot] = subgoal, initiation, region.points
         return True
-
-    def _tell(self, before: int, diary: Diary, *, changed: bool) -> None:
-        """Print that learning has begun, or is done."""
-        when = f"after {diary.n} {diary.unit}s and {diary.steps:,} steps"
-        if changed:
-            print(f"Feature map: learned, {when}")
-        elif self.learner.done and not before:
-            print(f"Feature map: {self.learner.updates} gradient steps begin, {when}, a second in 1,000 steps")
 
     def remember(self, slot: int, option: SubgoalOption, search: Discovery) -> None:
         """Take note of the observations behind an option's regions, which were made of features in the database.
@@ -118,12 +104,12 @@ class LearnedFeatures:
 
 
 def features_for(
-    present: LearnedFeatures | None, options: OptionInstaller, settings: EmbeddingSettings, seed: int, verbose: int
+    present: LearnedFeatures | None, options: OptionInstaller, settings: EmbeddingSettings, seed: int
 ) -> LearnedFeatures | None:
     """What looks after the feature map of the environments, if it is learned, when training starts."""
     there: object = options.venv.get_attr("bank", [0])[0].feature_map
     if isinstance(there, LearnedMap) and present is None:
-        present = LearnedFeatures(copy.deepcopy(there), settings, seed, verbose)
+        present = LearnedFeatures(copy.deepcopy(there), settings, seed)
     if present is not None:
         present.begin(options)
     return present
@@ -131,13 +117,9 @@ def features_for(
 
 def check_learned(discovery: DiscoverySettings, option: OptionLearningSettings, *, own: bool) -> None:
     """Refuse what does not go together with a space that moves, as a method or groups of the user's ``own``."""
-    if option.policy_input == "features":
+    if own or discovery.method != "diverse-density" or option.policy_input == "features":
         raise ValueError(
-            "A learned feature map moves while it is learned on, and policies on features would not move along: leave "
-            "policy_input at 'observation'."
-        )
-    if own or discovery.method != "diverse-density":
-        raise ValueError(
-            "A learned feature map moves while it is learned on. Diverse density moves along; other methods "
-            "and groups of features need features that stay: pass OptionsWrapper(feature_map=...) a function."
+            "A learned feature map moves while it is learned on. Diverse density moves along; other methods, groups of "
+            "features and policy_input='features' need features that stay: pass OptionsWrapper(feature_map=...) a "
+            "function."
         )

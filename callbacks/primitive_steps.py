@@ -6,30 +6,55 @@ import logging
 import math
 from typing import Any, ClassVar
 
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
 
 from sb3_options.callbacks.checks import check_options
-from sb3_options.callbacks.counting import (
-    PrimitiveRollouts,
-    all_callbacks,
-    check_every_step,
-    clip_schedules,
-    count_inner_steps,
-    evaluation_envs,
-)
 from sb3_options.callbacks.installer import OptionInstaller
+from sb3_options.callbacks.tree import all_callbacks, check_every_step, evaluation_envs
 from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.families import family_of
-from sb3_options.learning.rollout_buffer import SMDPAdvantages, option_rollout_buffer
+from sb3_options.learning.rollout_buffer import SMDPAdvantages, n_decisions, option_rollout_buffer
 
 logger = logging.getLogger("sb3_options")
 
 LAST = {"_last_obs": "new_obs", "_last_episode_starts": "dones", "_last_lstm_states": "lstm_states"}
 """Where an on-policy model keeps what the environments gave last, and the name of it in ``collect_rollouts``."""
+
+
+class PrimitiveRollouts:
+    """Keeps the rollouts of an on-policy algorithm at about ``n_steps`` primitive steps of each environment.
+
+    SB3 fixes the number of decisions when a rollout starts: as many as would have taken so long in the one before, in
+    multiples that fill the minibatches, never more than ``n_steps``. SB3 reads ``n_steps`` before a rollout starts, and
+    only between two it is the number of decisions: whoever saves the model in a rollout saves what it was made with.
+    """
+
+    def __init__(self, model: Any, buffer: SMDPAdvantages) -> None:
+        self.model, self.buffer = model, buffer
+        self.n_steps: int = buffer.n_primitive_steps or model.n_steps
+        buffer.n_primitive_steps = self.n_steps
+        batch = getattr(model, "batch_size", None)
+        self.multiple = 1 if not batch else batch // math.gcd(batch, buffer.n_envs)
+        # Advantages are divided by their spread, and a single one has none.
+        self.least = 2 if getattr(model, "normalize_advantage", False) and buffer.n_envs == 1 else 1
+
+    def begin(self) -> None:
+        """Put ``n_steps`` back: the rollout that begins has its size."""
+        self.model.n_steps = self.n_steps
+
+    def plan_next(self) -> None:
+        """Set the size of the next rollout; the present one is still to be learned from."""
+        self.model.n_steps = n_decisions(self.n_steps, self.buffer.durations, self.multiple, self.least)
+        self.buffer.next_size = self.model.n_steps
+
+    def end(self) -> None:
+        """Let the next training count decisions, unless it is told otherwise."""
+        self.model.n_steps = self.buffer.next_size = self.n_steps
+        self.buffer.n_primitive_steps = None
 
 
 class PrimitiveStepsCallback(BaseCallback):
@@ -47,7 +72,7 @@ class PrimitiveStepsCallback(BaseCallback):
     ``train_freq``, ``target_update_interval`` and ``eval_freq`` of an ``EvalCallback`` still count decisions, and so
     does ``n_steps``, unless ``primitive_rollouts`` says otherwise. A rollout may be many more primitive steps. Hence
     on-policy training ends in the middle of one when the budget is used up (SB3's last rollout is counted in full, as
-    if every action were one step); that rollout is not learned from. No schedule sees a progress below 0.
+    if every action were one step); that rollout is not learned from.
 
     Args:
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps: a rollout has as many
@@ -65,7 +90,6 @@ class PrimitiveStepsCallback(BaseCallback):
         super().__init__(verbose)
         self.primitive_rollouts = primitive_rollouts
         # rl-zoo3 ends trainings that were refused before they started, too.
-        self._stock_schedules: dict[str, Any] = {}
         self._rollouts: PrimitiveRollouts | None = None
         self._rollout_buffer: SMDPAdvantages | None = None
         self._installer: OptionInstaller | None = None
@@ -97,7 +121,6 @@ class PrimitiveStepsCallback(BaseCallback):
         self._counts = first is self
         # Where options are discovered, that callback looks after them; its class is defined on top of this module.
         self._installs = next((each for each in ours if hasattr(each, "discoveries")), first) is self
-        self._stock_schedules = clip_schedules(self.model)
         self._updates_before = self._n_updates()
         self._budget = math.inf
         if self._rollout_buffer is not None:
@@ -127,7 +150,7 @@ class PrimitiveStepsCallback(BaseCallback):
     def _count(self, runs: list[OptionRun]) -> bool:
         """Count what one step of every environment ran; whether training goes on."""
         if self._counts:
-            count_inner_steps(self, runs)
+            self._count_inner_steps(runs)
             if isinstance(venv := self.training_env.unwrapped, RayVecEnv):
                 self.logger.record("time/lost_actors", venv.lost_actors)
         buffer = self._rollout_buffer
@@ -140,6 +163,15 @@ class PrimitiveStepsCallback(BaseCallback):
             self._keep_last()
         return goes_on
 
+    def _count_inner_steps(self, runs: list[OptionRun]) -> None:
+        """Count the primitive steps that SB3 and its progress bar did not count."""
+        extra = math.ceil(sum([run.duration for run in runs])) - len(runs)  # a user's durations may be fractions
+        self.model.num_timesteps += extra
+        self.num_timesteps = self.model.num_timesteps
+        for each in all_callbacks(self.locals.get("callback")) if extra else ():
+            if isinstance(each, ProgressBarCallback):
+                each.pbar.update(extra)
+
     def _keep_last(self) -> None:
         """Let the model know where the environments are, as SB3 does not where training ends inside a rollout."""
         for name, value in LAST.items():
@@ -147,8 +179,6 @@ class PrimitiveStepsCallback(BaseCallback):
                 setattr(self.model, name, self.locals[value])
 
     def _on_training_end(self) -> None:
-        for name, schedule in self._stock_schedules.items():
-            setattr(self.model, name, schedule)
         if self._rollouts is not None:
             self._rollouts.end()
         if self._installer is not None:

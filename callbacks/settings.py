@@ -10,32 +10,24 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.embedding.settings import EmbeddingSettings
 
-Share = Annotated[float, Field(ge=0, le=1)]
-
 
 @settings
 class OptionUse:
     """How an algorithm uses options.
 
     Attributes:
-        max_option_exploration: Largest share of all options among the random choices of DQN, QRDQN and OptionDQN.
-        opening_share: MaskablePPO: share of the probability that the first option opens with where primitives are
-            equally likely. The odds of the k-th against the primitives are 1/k of those. It is no cap on all options
-            together: three at 0.5 open with 0.65. None takes ``max_option_exploration``.
+        max_option_exploration: Largest share of all options among the random choices of DQN, QRDQN and OptionDQN. With
+            MaskablePPO it is the share of the probability that the first option opens with where primitives are equally
+            likely. The odds of the k-th against the primitives are 1/k of those; so it is no cap on all options
+            together: three at 0.5 open with 0.65.
         interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
             alternative (`execution.interruption`).
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
     """
 
-    max_option_exploration: Share = 0.5
-    opening_share: Share | None = None
+    max_option_exploration: Annotated[float, Field(ge=0, le=1)] = 0.5
     interruption: bool = True
     primitive_rollouts: bool = False
-
-    @property
-    def opens_with(self) -> float:
-        """`opening_share`, or what takes its place."""
-        return self.max_option_exploration if self.opening_share is None else self.opening_share
 
 
 @settings

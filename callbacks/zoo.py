@@ -8,9 +8,9 @@ from typing import Any
 
 from stable_baselines3.common.callbacks import EvalCallback
 
-from sb3_options.callbacks.counting import all_callbacks
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.summaries import save_or_warn
+from sb3_options.callbacks.tree import all_callbacks
 from sb3_options.options.archive import NAME
 from sb3_options.zoo import ZooOptionsWrapper
 

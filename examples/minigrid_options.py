@@ -18,7 +18,7 @@ def rooms(env_id: str, options: str | None = None) -> VecEnv:
 
 
 model = MaskablePPO("MlpPolicy", rooms("MiniGrid-MultiRoom-N2-S4-v0"), seed=0, device="cpu", verbose=1, **PPO)
-discovery = SubgoalDiscoveryCallback(**DISCOVERY, use={"opening_share": 0.5, "primitive_rollouts": True}, verbose=1)
+discovery = SubgoalDiscoveryCallback(**DISCOVERY, use={"primitive_rollouts": True}, verbose=1)
 model.learn(40_000, callback=discovery)  # tested with 2_000
 discovery.bank.save("options.safetensors")
 model.set_env(rooms("MiniGrid-MultiRoom-N4-S5-v1", "options.safetensors"))

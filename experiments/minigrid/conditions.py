@@ -145,7 +145,7 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_roll
             settings.options_of(stage),
             method=drawn,
             max_new_options=0 if is_last and stage else None,
-            use={"opening_share": settings.OPENING_SHARE, "primitive_rollouts": primitive_rollouts},
+            use={"max_option_exploration": settings.OPENING_SHARE, "primitive_rollouts": primitive_rollouts},
             seed=seed,
         )
         callbacks.append(discovery)

@@ -16,7 +16,7 @@ from sb3_options.experience.observations import BoolArray
 
 
 class CappedActions(spaces.Discrete):
-    """Augmented actions of which `sample` draws at most a given share of options. Compares equal to a ``Discrete``.
+    """Augmented actions of which `sample` draws at most a given share of options.
 
     While uniform choices keep to the share, they are drawn as ``Discrete`` draws them. In the place of an empty slot a
     primitive is drawn, each as often as the others.
@@ -49,12 +49,6 @@ class CappedActions(spaces.Discrete):
         if len(primitive) == 0 or len(options) <= self.share * total:
             return int(self.np_random.choice(np.flatnonzero(allowed)))
         return int(self.np_random.choice(options if self.np_random.random() < self.share else primitive))
-
-    def __eq__(self, other: object) -> bool:
-        same = isinstance(other, spaces.Discrete)
-        return same and (self.n, self.start) == (other.n, other.start)  # type: ignore[attr-defined]  # a Discrete has them
-
-    __hash__ = None  # type: ignore[assignment]  # as for every space
 
 
 def cap_option_exploration(model: BaseAlgorithm, n_primitive: int, share: float) -> CappedActions | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from stable_baselines3.common.monitor import Monitor
 
-from sb3_options.checked import is_number
+from sb3_options.checked import is_number, whole
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
@@ -90,12 +90,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         max_runs: int | None = None,
         check_finite: bool = False,
     ) -> None:
-        if not isinstance(env, gym.Env):
-            raise TypeError(
-                f"OptionsWrapper needs one gymnasium.Env, as gymnasium.make(...) gives it, got {env!r}. For several: "
-                "make_vec_env(..., wrapper_class=OptionsWrapper, wrapper_kwargs={...}). One of the old gym API is "
-                'converted by shimmy: gymnasium.make("GymV21Environment-v0", env=env), or "GymV26Environment-v0".'
-            )
         # Not copied: a feature map may be a method of the environment, which would be copied with it.
         RecordConstructorArgs.__init__(
             self,
@@ -122,7 +116,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             )
         if not (is_number(gamma) and 0.0 < gamma <= 1.0):
             raise ValueError(f"gamma must be in (0, 1], got {gamma!r}.")
-        if max_runs is not None and not (is_number(max_runs) and max_runs >= 1 and max_runs % 1 == 0):
+        if max_runs is not None and not whole(max_runs, 1):
             raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs!r}.")
         self.gamma = float(gamma)
         self.max_runs = max_runs
@@ -186,10 +180,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 self.bank.remove(slot)
             self._runs[slot] = 0  # the next one begins to count anew; one that has grown does not
         if changes.get("learned_map") is not None:
-            learned = self.features.map if self.features else None
-            if not isinstance(learned, LearnedMap):
-                raise ValueError(f"The feature map of {self} is not learned: there is nothing to set.")
-            learned.load(changes["learned_map"])
+            assert self.features is not None  # whoever learns a map has seen that there is one
+            cast("LearnedMap", self.features.map).load(changes["learned_map"])
         self.slot_state = dataclasses.replace(state, options={**self.slot_state.options, **changes.get("options", {})})
         if "record" in changes:
             self._record(changes["record"])
@@ -246,13 +238,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if not self._has_masks:
             return None
         own = self.env.get_wrapper_attr("action_masks")
-        mask: BoolArray = np.asarray(own() if callable(own) else own, dtype=bool)
-        if mask.shape != (self.n_primitive,):
-            raise ValueError(
-                f"action_masks() of the environment must have an entry for each of its {self.n_primitive} actions, "
-                f"got shape {mask.shape}."
-            )
-        return mask
+        return np.asarray(own() if callable(own) else own, dtype=bool)
 
     def _forbid_now(self, slots: BoolArray) -> None:
         """Clear, in place, the slots that have run ``max_runs`` times, or whose first primitive is masked now."""

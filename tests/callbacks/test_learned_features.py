@@ -1,7 +1,6 @@
 """A feature map that is learned while a model trains: options are found, move along, are saved, and go on."""
 
 import dataclasses
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -175,16 +174,14 @@ def test_a_file_holds_the_map(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("keep_all")
-def test_cut_and_resumed_is_never_interrupted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_cut_and_resumed_is_never_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also while a map is being learned."""
     monkeypatch.setattr("sb3_options.embedding.learner.PAUSE_SECONDS", 0.04)
     monkeypatch.setattr("sb3_options.embedding.learner.STEPS_BETWEEN", 1)
     brief = {**LEARNING, "updates": 40}
     callbacks, _ = check_resumes(
         lambda: dqn(DummyVecEnv([temporal_rooms])),
-        lambda: [callback_with(concepts={"embedding": brief}, option_settings={"grow": True}, verbose=1)],
+        lambda: [callback_with(concepts={"embedding": brief}, option_settings={"grow": True})],
         tmp_path,
         cuts=(0.35, 0.6),
         steps=1_500,
@@ -193,31 +190,16 @@ def test_cut_and_resumed_is_never_interrupted(
     assert isinstance(callback, SubgoalDiscoveryCallback)
     assert callback.discoveries
     assert features_of(callback).map.learned > 1
-    printed = capsys.readouterr().out
-    assert printed.count("learned, after") > printed.count("steps begin")
-    assert re.search(
-        r"^Feature map: 40 gradient steps begin, after \d+ episodes and [\d,]+ steps, a second", printed, re.M
-    )
-    assert re.search(r"^Feature map: learned, after \d+ episodes and [\d,]+ steps$", printed, re.M)
 
 
 @pytest.mark.parametrize(
-    ("kwargs", "message"),
+    "kwargs",
     [
-        (
-            {"option_settings": {"policy_input": "features"}},
-            r"^A learned feature map moves .*leave policy_input at 'ob",
-        ),
-        (
-            {"method": "random"},
-            r"^A learned feature map moves .* pass OptionsWrapper\(feature_map=\.\.\.\) a funct",
-        ),
-        (
-            {"concepts": {"groups": [{"name": "one", "features": [0]}]}},
-            r"^A learned feature map moves .* need features that stay: ",
-        ),
+        {"option_settings": {"policy_input": "features"}},
+        {"method": "random"},
+        {"concepts": {"groups": [{"name": "one", "features": [0]}]}},
     ],
 )
-def test_what_does_not_go_together(kwargs: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+def test_what_needs_features_that_stay_is_refused(kwargs: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"^A learned feature map moves .* pass OptionsWrapper\(feature_map=\.\.\.\)"):
         dqn(temporal_rooms()).learn(10, callback_with(**kwargs))

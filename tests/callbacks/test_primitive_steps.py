@@ -185,35 +185,6 @@ class Updates(BaseCallback):
         self.steps.append(self.num_timesteps)
 
 
-def linear(progress: float) -> float:
-    """A learning rate that SB3 would make negative after the last step of the budget."""
-    rates.append(1e-3 * progress)
-    return rates[-1]
-
-
-rates: list[float] = []
-
-
-@pytest.mark.parametrize("algorithm", [PPO, A2C, DQN])
-def test_no_schedule_sees_less_than_no_progress(algorithm: Any) -> None:
-    """With options of many steps the last rollout, or the last steps of one, lie far beyond the budget."""
-    rates.clear()
-    env = counting(terminate_at=170)
-    env.set_option(0, steady_option(max_duration=20))
-    if algorithm is DQN:
-        model: Any = dqn(env, learning_rate=linear, **RANDOM)
-        model.gradient_steps, model.learning_starts = 1, 10
-    else:
-        rollouts = {"n_steps": 32} | ({"batch_size": 32} if algorithm is PPO else {})
-        model = algorithm("MlpPolicy", env, gamma=0.9, learning_rate=linear, seed=0, device="cpu", **rollouts)
-    schedule = model.lr_schedule
-    model.learn(990, callback=PrimitiveStepsCallback())
-    assert model.num_timesteps > 990
-    assert model._n_updates > 0
-    assert min(rates) >= 0.0
-    assert model.lr_schedule is schedule
-
-
 @pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
 def test_a_rollout_ends_with_the_budget(callback: Any, caplog: pytest.LogCaptureFixture) -> None:
     """Where SB3's own last rollout would have ended, had every action been one step."""

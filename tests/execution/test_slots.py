@@ -7,7 +7,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
@@ -130,26 +129,6 @@ def test_a_feature_map_that_makes_no_features_is_refused(feature_map: Any) -> No
     text = r"^feature_map must return real numbers of shape \(batch, d\), d ≥ 1; it gave"
     with pytest.raises(ValueError, match=text):
         OptionsWrapper(CountingEnv(), feature_map=feature_map)
-
-
-@pytest.mark.parametrize("env", ["CartPole-v1", DummyVecEnv([CountingEnv])])
-def test_what_is_no_environment_is_refused(env: Any) -> None:
-    with pytest.raises(TypeError, match=r"^OptionsWrapper needs one gymnasium.Env, .*wrapper_class=OptionsWrapper"):
-        OptionsWrapper(env)
-
-
-class Masking(CountingEnv):
-    """Masks more actions than it has."""
-
-    def action_masks(self) -> Any:
-        return np.ones(5, dtype=bool)
-
-
-def test_a_mask_of_other_actions_is_refused() -> None:
-    env = OptionsWrapper(Masking())
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"must have an entry for each of its 2 actions, got shape \(5,\)\.$"):
-        env.action_masks()
 
 
 def test_masks_of_an_environment_without_options_warn_once(caplog: pytest.LogCaptureFixture) -> None:

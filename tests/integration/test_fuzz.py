@@ -34,7 +34,6 @@ ALIASES = {
     "option_settings": "OptionLearningSettings",
     "embedding": "EmbeddingSettings",
     "usefulness": "UsefulnessSettings",
-    "max_option_exploration": "opening_share",
 }
 """What an error may say in place of an argument's name."""
 

@@ -289,7 +289,7 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     with torch.no_grad():
         model.policy.action_net.weight.zero_()
         model.policy.action_net.bias.zero_()
-    OptionInstaller(model, env_of(model), None, opening_share=share)
+    OptionInstaller(model, env_of(model), None, max_option_exploration=share)
     observation = torch.zeros((1, 2))
     masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
     probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
@@ -316,7 +316,7 @@ def test_options_share_the_opening_odds_with_those_available_in_the_same_states(
     with torch.no_grad():
         model.policy.action_net.weight.zero_()
         model.policy.action_net.bias.zero_()
-    OptionInstaller(model, env_of(model), None, opening_share=0.75)
+    OptionInstaller(model, env_of(model), None, max_option_exploration=0.75)
     probabilities = model.policy.get_distribution(torch.zeros((1, 2))).distribution.probs[0].detach()
     assert float(probabilities[2 + slot] / probabilities[:2].sum()) == pytest.approx(odds, rel=1e-5)
 
