@@ -148,7 +148,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             )
         keeper.begin(self._installer, self.discovery, self.max_new_options)
         self.discovery.diary.step_seconds = self._installer.family.step_seconds
-        venv.env_method("set_slots", record=self.settings.reward_peaks() or True)
+        peaks = self.settings.segmentation == "peaks"
+        venv.env_method("set_slots", record=True, max_segment=self.settings.max_segment if peaks else None)
         self._ended = False
 
     @property

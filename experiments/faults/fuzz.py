@@ -23,7 +23,6 @@ from sb3_options.density.diverse_density import DiverseDensity
 from sb3_options.density.log_density import log_diverse_density
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.experience.recording import RewardPeaks
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs.config import TrainConfig
@@ -39,7 +38,6 @@ SETTINGS: dict[str, Callable[..., Any]] = {
     for of in (
         DiscoverySettings,
         OptionLearningSettings,
-        RewardPeaks,
         DiverseDensity,
         Point,
         TrainConfig,

@@ -18,7 +18,7 @@ from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs import GridWorld
 from sb3_options.envs.gridworld.grid_map import Direction
 from sb3_options.experience.observations import FloatArray
-from sb3_options.experience.recording import EpisodeRecorder
+from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.trajectories import Trajectory
 
 TASKS = ("TwoRooms", "KeyDoor", "FourRooms", "random maps")
@@ -149,7 +149,7 @@ def run(task: str, changed: dict[str, Any], seed: int, n_episodes: int | None = 
 
 def walk(world: gym.Env[Any, Any], rng: np.random.Generator) -> Trajectory:
     """One episode of uniformly random actions."""
-    recorder = EpisodeRecorder()
+    recorder = TrajectoryRecorder()
     observation, _ = world.reset()
     recorder.begin(observation)
     while not recorder.finished:

@@ -10,7 +10,7 @@ import numpy as np
 from sb3_options.checked import Field, settings
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.experience.observations import FloatArray
-from sb3_options.experience.recording import RewardPeaks
+from sb3_options.experience.recording import LONGEST_EPISODE
 
 MethodName = Literal["diverse-density", "first-visits", "relative-novelty", "random"]
 """Names of the methods of discovery."""
@@ -25,7 +25,7 @@ class DiscoverySettings:
             the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity`, `max_share` and the
             segmentation count.
         segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
-            ``peaks`` of reward (`recording.RewardPeaks`).
+            ``peaks`` of reward (`recording.SegmentRecorder`).
         max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
             takes from peak to peak.
         max_share: Largest share of training that searches may take, counted in work and not by the clock (`budget`);
@@ -73,7 +73,7 @@ class DiscoverySettings:
 
     method: MethodName = "diverse-density"
     segmentation: Literal["episodes", "peaks"] = "episodes"
-    max_segment: Annotated[int, Field(ge=1)] = 10_000
+    max_segment: Annotated[int, Field(ge=1, le=LONGEST_EPISODE)] = 10_000
     max_share: Annotated[float, Field(gt=0, le=1)] | None = 0.05
     capacity: Annotated[int, Field(ge=1)] = 100
     min_positive: Annotated[int, Field(ge=1)] = 4
@@ -98,10 +98,6 @@ class DiscoverySettings:
     max_extent: Annotated[float, Field(ge=0)] = math.inf
     subgoal_radius: Annotated[float, Field(ge=0)] = 0.5
     spacing: Annotated[float, Field(ge=0)] = 3.0
-
-    def reward_peaks(self) -> RewardPeaks | None:
-        """Where experience is cut; None where episodes end it."""
-        return RewardPeaks(self.max_segment) if self.segmentation == "peaks" else None
 
 
 CATEGORICAL_SCALE = 6.0

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
-from sb3_options.experience.recording import EpisodeRecorder, RewardPeaks, SegmentRecorder, TrajectoryRecorder
+from sb3_options.experience.recording import SegmentRecorder, TrajectoryRecorder
 from sb3_options.experience.success import success_in
 from sb3_options.experience.trajectories import Trajectory
 
@@ -21,7 +21,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
         self.recorder: TrajectoryRecorder | None = None
-        self.peaks: RewardPeaks | None = None
+        self.max_segment: int | None = None
         self.finished: list[Trajectory] = []
 
     @property
@@ -29,12 +29,13 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         """That of the environment: recording is no part of what ``gym.make`` makes again."""
         return self.env.spec
 
-    def set(self, record: bool, peaks: RewardPeaks | None, observation: Any) -> None:
-        """Whether to record from now on, and where segments are cut; what is under way goes on if nothing changes."""
+    def set(self, record: bool, max_segment: int | None, observation: Any) -> None:
+        """Whether to record from now on, and segments or episodes; what is under way goes on if nothing changes."""
         if not record:
             self.recorder, self.finished = None, []
-        elif self.recorder is None or peaks != self.peaks:
-            self.recorder, self.peaks = EpisodeRecorder() if peaks is None else SegmentRecorder(peaks), peaks
+        elif self.recorder is None or max_segment != self.max_segment:
+            self.max_segment = max_segment
+            self.recorder = TrajectoryRecorder() if max_segment is None else SegmentRecorder(max_segment)
             self.finished = self.recorder.finished
             if observation is not None:
                 self.recorder.begin(observation)
@@ -47,12 +48,13 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint: what is under way."""
-        return {"recorder": None if self.recorder is None else self.recorder.get_state(), "peaks": self.peaks}
+        recorder = None if self.recorder is None else self.recorder.get_state()
+        return {"recorder": recorder, "max_segment": self.max_segment}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         self.recorder = None
-        self.set(state["recorder"] is not None, state["peaks"], None)
+        self.set(state["recorder"] is not None, state["max_segment"], None)
         if self.recorder is not None:
             self.recorder.set_state(state["recorder"])
 

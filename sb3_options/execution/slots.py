@@ -12,7 +12,6 @@ from gymnasium import spaces
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.execution.features import FeatureKind
 from sb3_options.execution.interruption import Interruption
-from sb3_options.experience.recording import RewardPeaks
 from sb3_options.options.option import Option
 
 
@@ -25,8 +24,9 @@ class SlotState:
             what the environment was made with. `OptionsWrapper.set_slots` adds to this field.
         learned_map: What the learned feature map is (`LearnedMap.arrays`).
         interruption: By which values options are interrupted; None lets every option run to its end.
-        record: Whether infos hold the primitive steps. With True the info that ends an episode holds it as
-            ``info["trajectory"]``. With `RewardPeaks` ``info["segments"]`` lists the segments that ended in the step.
+        record: Whether infos hold the primitive steps: the info that ends an episode as ``info["trajectory"]``.
+        max_segment: Primitive steps of the longest segment, where ``record`` cuts at peaks of reward: then
+            ``info["segments"]`` lists the segments that ended in the step. None records whole episodes.
         report_availability: Whether ``info["option"]["available"]`` says which slots may start in each observation
             arrived in.
         expect_empty: Whether a callback knows which slots are empty: then to choose one is exploration, no mistake.
@@ -36,7 +36,8 @@ class SlotState:
     options: Mapping[int, Option | None] = field(default_factory=dict)
     learned_map: Mapping[str, npt.NDArray[Any]] | None = None
     interruption: Interruption | None = None
-    record: bool | RewardPeaks = False
+    record: bool = False
+    max_segment: int | None = None
     report_availability: bool = False
     expect_empty: bool = False
     primitive_monitor: bool = False

@@ -25,7 +25,6 @@ from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.execution.slots import SlotState, Traits
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun, RunInfo
-from sb3_options.experience.recording import RewardPeaks
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
 
@@ -184,7 +183,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             cast("LearnedMap", self.features.map).load(changes["learned_map"])
         self.slot_state = dataclasses.replace(state, options={**self.slot_state.options, **changes.get("options", {})})
         if "record" in changes:
-            self._record(changes["record"])
+            self._record()
         if state.primitive_monitor:
             count_primitive_steps(self.outermost, self)
 
@@ -192,15 +191,14 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """Fill a slot, or empty it with None; the same as ``set_slots(options={slot: option})``."""
         self.set_slots(options={slot: option})
 
-    def _record(self, record: bool | RewardPeaks) -> None:
-        if record and self._recording is None:
+    def _record(self) -> None:
+        if self.slot_state.record and self._recording is None:
             # Beneath a Monitor, which others expect right beneath this wrapper.
             outer: gym.Wrapper[Any, Any, Any, Any] = self.env if isinstance(self.env, Monitor) else self
             self._recording = RecordTrajectories(outer.env)
             outer.env = self._recording
         if self._recording is not None:
-            peaks = record if isinstance(record, RewardPeaks) else None
-            self._recording.set(bool(record), peaks, self._observation)
+            self._recording.set(self.slot_state.record, self.slot_state.max_segment, self._observation)
 
     def concept_features(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, shape (batch, d)."""

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
-from sb3_options.checked import Field, settings
 from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.trajectories import Trajectory
 
@@ -24,7 +23,9 @@ LONGEST_EPISODE = 100_000
 
 
 class TrajectoryRecorder:
-    """Builds a `Trajectory` while an episode runs, in constant time a step.
+    """Builds a `Trajectory` of each episode while it runs, in constant time a step.
+
+    An episode of more than `LONGEST_EPISODE` steps is dropped with a warning.
 
     Attributes:
         finished: What is complete, oldest first; whoever takes it clears it.
@@ -33,29 +34,38 @@ class TrajectoryRecorder:
     def __init__(self) -> None:
         self.finished: list[Trajectory] = []
         self._forget()
+        self._gave_up = False
 
     def __len__(self) -> int:
         """Primitive steps recorded of the trajectory under way."""
         return len(self._actions)
 
-    @property
-    def last_observation(self) -> Any:
-        """The last observation of the trajectory under way."""
-        return self._states[self._visits[-1]]
-
     def begin(self, observation: Any) -> None:
         """Forget what was recorded, and start an episode in ``observation``."""
         self.finished.clear()
         self._start(observation)
+        self._gave_up = False
 
     def record(self, action: int, reward: float, observation: Any) -> None:
         """Add one primitive step that led to ``observation``."""
-        self._actions.append(action)
-        self._rewards.append(reward)
-        self._visit(observation)
+        if len(self) == LONGEST_EPISODE:
+            self._gave_up = True
+            self._forget()
+            logger.warning(
+                "An episode has not ended after %d primitive steps and is no longer recorded: no subgoals can be "
+                "discovered in it. Give the environment a time limit, or cut experience at peaks of reward "
+                "(DiscoverySettings(segmentation='peaks'); train.py --discovery.segmentation peaks).",
+                LONGEST_EPISODE,
+            )
+        if not self._gave_up:
+            self._actions.append(action)
+            self._rewards.append(reward)
+            self._visit(observation)
 
     def end(self, *, terminated: bool, truncated: bool, is_success: bool | None) -> None:
-        """Complete the episode as a `Trajectory`."""
+        """Complete the episode as a `Trajectory`, unless it was too long."""
+        if self._gave_up:
+            return
         self.finished.append(
             Trajectory(
                 states=obs_batch.stack(self._states),
@@ -87,6 +97,7 @@ class TrajectoryRecorder:
             "visits": np.array(self._visits, dtype=np.int64),
             "actions": np.array(self._actions, dtype=np.int64),
             "rewards": np.array(self._rewards, dtype=np.float64),
+            "gave_up": self._gave_up,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -99,6 +110,7 @@ class TrajectoryRecorder:
         self._row_of = {obs_batch.key_of(each): row for row, each in enumerate(self._states)}
         self._visits, self._actions = state["visits"].tolist(), state["actions"].tolist()
         self._rewards = state["rewards"].tolist()
+        self._gave_up = state["gave_up"]
 
     def _start(self, observation: Any) -> None:
         self._forget()
@@ -111,79 +123,24 @@ class TrajectoryRecorder:
         self._visits.append(row)
 
 
-class EpisodeRecorder(TrajectoryRecorder):
-    """Records whole episodes. One of more than `LONGEST_EPISODE` steps is dropped with a warning."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._gave_up = False
-
-    def begin(self, observation: Any) -> None:
-        """Forget what was recorded, and start an episode in ``observation``."""
-        super().begin(observation)
-        self._gave_up = False
-
-    def record(self, action: int, reward: float, observation: Any) -> None:
-        """Add one primitive step that led to ``observation``."""
-        if not self._gave_up and len(self._actions) == LONGEST_EPISODE:
-            self._gave_up = True
-            self._forget()
-            logger.warning(
-                "An episode has not ended after %d primitive steps and is no longer recorded: no subgoals can be "
-                "discovered in it. Give the environment a time limit, or cut experience at peaks of reward "
-                "(DiscoverySettings(segmentation='peaks'); train.py --discovery.segmentation peaks).",
-                LONGEST_EPISODE,
-            )
-        if not self._gave_up:
-            super().record(action, reward, observation)
-
-    def end(self, *, terminated: bool, truncated: bool, is_success: bool | None) -> None:
-        """Complete the episode as a `Trajectory`, unless it was too long."""
-        if not self._gave_up:
-            super().end(terminated=terminated, truncated=truncated, is_success=is_success)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return {**super().get_state(), "gave_up": self._gave_up}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        super().set_state(state)
-        self._gave_up = state["gave_up"]
-
-
-@settings
-class RewardPeaks:
-    """Which steps are peaks of reward.
-
-    Step t is a peak if r_t > 0 and r_{t−1} < r_t ≥ r_{t+1}, with r = −∞ before an episode and after it.
-    So a reward that rises over several steps has one peak, at its maximum, and one that stays high has one peak, at its
-    first step.
-
-    Attributes:
-        max_segment: A segment of this many primitive steps without a peak is cut, and failed. No more steps are held
-            in memory. The next segment starts at the cut, so this should be more than a randomly exploring agent takes
-            from peak to peak.
-    """
-
-    max_segment: Annotated[int, Field(ge=1)] = 10_000
-
-
 class SegmentRecorder(TrajectoryRecorder):
     """Builds a `Trajectory` from each peak of reward to the next, in constant time a step.
 
     A segment that ends with a peak succeeded. One that became too long, or ended in a terminal state without a peak,
     failed. The segment under way when an episode is truncated is dropped: it might have led to a peak.
 
+    Step t is a peak if r_t > 0 and r_{t−1} < r_t ≥ r_{t+1}, with r = −∞ before an episode and after it. So a reward
+    that rises over several steps has one peak, at its maximum, and one that stays high has one peak, at its first step.
     A segment is finished one step after its last, because only then the reward is known not to rise further.
 
     Args:
-        peaks: Where to cut.
+        max_segment: A segment of this many primitive steps without a peak is cut, and failed: no more are held in
+            memory. At most `LONGEST_EPISODE`.
     """
 
-    def __init__(self, peaks: RewardPeaks) -> None:
+    def __init__(self, max_segment: int) -> None:
         super().__init__()
-        self.peaks = peaks
+        self.max_segment = max_segment
         self._before = -math.inf
         self._may_be_peak = False
 
@@ -225,10 +182,10 @@ class SegmentRecorder(TrajectoryRecorder):
         self._before, self._may_be_peak = state["before"], state["may_be_peak"]
 
     def _is_full(self) -> bool:
-        return len(self._actions) >= self.peaks.max_segment
+        return len(self._actions) >= self.max_segment
 
     def _cut(self, *, success: bool) -> None:
-        here = self.last_observation
+        here = self._states[self._visits[-1]]
         super().end(terminated=False, truncated=False, is_success=success)
         self._start(here)
         self._may_be_peak = False

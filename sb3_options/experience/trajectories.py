@@ -33,7 +33,7 @@ class Trajectory:
         terminated: Whether it ended in a terminal state.
         truncated: Whether the episode was cut off from outside.
         is_success: ``info["is_success"]`` of the last step; None where the environment does not say. Of a segment:
-            whether it ended with a peak of reward (`RewardPeaks`).
+            whether it ended with a peak of reward (`SegmentRecorder`).
     """
 
     states: Observations

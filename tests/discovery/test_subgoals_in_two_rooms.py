@@ -10,7 +10,7 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.observations import FloatArray
-from sb3_options.experience.recording import EpisodeRecorder
+from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.trajectories import Trajectory
 from tests.discovery.lines import SEARCHES, peaks_of
 
@@ -26,7 +26,7 @@ def walks() -> list[list[tuple[Trajectory, FloatArray]]]:
         env = gym.make("sb3_options/TwoRooms-v0")
         rng = np.random.default_rng(seed)
         features = env.get_wrapper_attr("concept_features")
-        recorder, kept = EpisodeRecorder(), list[tuple[Trajectory, FloatArray]]()
+        recorder, kept = TrajectoryRecorder(), list[tuple[Trajectory, FloatArray]]()
         observation, _ = env.reset(seed=seed)
         recorder.begin(observation)
         while len(kept) < N_WALKS:

@@ -13,7 +13,6 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
 from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.experience import recording
-from sb3_options.experience.recording import RewardPeaks
 from sb3_options.experience.trajectories import Trajectory
 from tests.support.helpers import CountingEnv, steady_option
 
@@ -86,14 +85,14 @@ def test_what_never_ends_is_forgotten(caplog: pytest.LogCaptureFixture, monkeypa
     assert len(recorder) == 20
 
 
-def cut_at_peaks(peaks: RewardPeaks | None = None, **kwargs: Any) -> OptionsWrapper:
+def cut_at_peaks(max_segment: int = 10_000, **kwargs: Any) -> OptionsWrapper:
     """Rewards 1 at every third step."""
 
     def step(env: CountingEnv, action: int) -> Any:
         return np.array([float(env.time)]), float(env.time % 3 == 0), False, env.time == 12, {}
 
     env = OptionsWrapper(CountingEnv(step=step), **kwargs)
-    env.set_slots(record=peaks or RewardPeaks())
+    env.set_slots(record=True, max_segment=max_segment)
     env.reset(seed=0)
     return env
 
@@ -122,10 +121,10 @@ def test_several_while_one_option_runs() -> None:
 def test_another_way_to_cut_replaces_the_first() -> None:
     env = cut_at_peaks()
     env.step(0)
-    env.set_slots(record=RewardPeaks())  # the same again changes nothing
+    env.set_slots(record=True, max_segment=10_000)  # the same again changes nothing
     assert env._recording is not None
     assert len(env._recording.recorder or ()) == 1
-    env.set_slots(record=True)
+    env.set_slots(record=True, max_segment=None)
     infos = [env.step(0)[4] for _ in range(11)]
     assert not any("segments" in info for info in infos)
     assert states_of(infos[-1]["trajectory"]).tolist() == list(range(1, 13))

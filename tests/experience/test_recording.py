@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sb3_options.experience import recording
-from sb3_options.experience.recording import EpisodeRecorder, RewardPeaks, SegmentRecorder, TrajectoryRecorder
+from sb3_options.experience.recording import SegmentRecorder, TrajectoryRecorder
 from sb3_options.experience.trajectories import Trajectory
 
 
@@ -16,8 +16,8 @@ def ended(recorder: TrajectoryRecorder, **kwargs: Any) -> Trajectory:
     return recorder.finished[-1]
 
 
-def record(observations: list[Any], actions: list[int]) -> EpisodeRecorder:
-    recorder = EpisodeRecorder()
+def record(observations: list[Any], actions: list[int]) -> TrajectoryRecorder:
+    recorder = TrajectoryRecorder()
     recorder.begin(observations[0])
     for action, observation in zip(actions, observations[1:], strict=True):
         recorder.record(action, 10.0 * action, observation)
@@ -36,7 +36,7 @@ def test_each_distinct_observation_is_stored_once_in_order_of_first_visit() -> N
 
 def test_dictionaries_written_in_place_are_copied() -> None:
     observation = {"a": np.zeros(2), "b": np.zeros(1, dtype=np.int64)}
-    recorder = EpisodeRecorder()
+    recorder = TrajectoryRecorder()
     recorder.begin(observation)
     for value in (1, 2, 1):
         observation["a"][:] = value
@@ -57,7 +57,7 @@ def segments(
     truncated: bool = False,
 ) -> list[tuple[int, int, bool | None]]:
     """First state, last state and success of each segment; step t leads from state t to t + 1."""
-    recorder = SegmentRecorder(RewardPeaks(max_segment))
+    recorder = SegmentRecorder(max_segment)
     recorder.begin(np.array([0]))
     for t, reward in enumerate(rewards):
         recorder.record(0, reward, np.array([t + 1]))
@@ -99,7 +99,7 @@ def test_a_segment_too_long_without_a_peak() -> None:
 def test_an_episode_may_have_as_many_steps_as_the_longest(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "LONGEST_EPISODE", 5)
     for length, n_finished in ((4, 1), (5, 1), (6, 0)):
-        recorder = EpisodeRecorder()
+        recorder = TrajectoryRecorder()
         recorder.begin(np.array([0]))
         for t in range(length):
             recorder.record(0, 0.0, np.array([t + 1]))
@@ -117,7 +117,7 @@ def test_a_segment_at_the_end_of_an_episode() -> None:
 
 def test_nothing_is_lost_and_memory_is_bounded() -> None:
     rng = np.random.default_rng(0)
-    recorder = SegmentRecorder(RewardPeaks(max_segment=40))
+    recorder = SegmentRecorder(max_segment=40)
     recorder.begin(np.array([0]))
     cut: list[Trajectory] = []
     for t in range(5000):
