@@ -11,7 +11,7 @@ from experiments.common.em_dd import ExpectationMaximisation, MostLikely
 from sb3_options.density.bags import distinct
 from sb3_options.density.diverse_density import DiverseDensity, Peak
 from sb3_options.discovery.bags import FilteredBags
-from sb3_options.discovery.budget import PAIR_SECONDS, POINT_FEATURES, SEARCH_SECONDS
+from sb3_options.discovery.budget import POINT_FEATURES, nominal_seconds
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.experience.observations import FloatArray
 
@@ -48,6 +48,5 @@ class MostLikelyPeaks(PersistentPeaks):
         if self.filters.kind == "categorical":
             return super()._seconds_of_search(evidence, engine)
         n_pairs = evidence.n_instances * STARTS * (ROUNDS + 1)
-        compared = PAIR_SECONDS * n_pairs * (evidence.positive[0].shape[1] + POINT_FEATURES)
-        seconds: float = SEARCH_SECONDS + compared + EVALUATION_SECONDS * ROUNDS * (STEPS + 1)
-        return seconds
+        compared = nominal_seconds(search=1, pair=n_pairs * (evidence.n_features + POINT_FEATURES))
+        return compared + EVALUATION_SECONDS * ROUNDS * (STEPS + 1)

@@ -42,6 +42,11 @@ class FilteredBags:
         """In all bags."""
         return sum(map(len, self.positive)) + sum(map(len, self.negative))
 
+    @property
+    def n_features(self) -> int:
+        """Of an instance, d."""
+        return int(self.positive[0].shape[1])
+
     @cached_property
     def bags(self) -> Bags:
         """The same, packed when first asked for."""

@@ -12,7 +12,7 @@ import numpy as np
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.anchors import moved, nearest_observations
-from sb3_options.discovery.budget import seconds_of_telling
+from sb3_options.discovery.budget import nominal_seconds
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, Method, method_with
@@ -194,7 +194,8 @@ class Discovery:
             experience = self._experience(list(self.database)[-self._n_new])
             self._n_new -= 1  # what a method fails at does not come again
             proposals = [*self._updated(experience), *proposals]
-            self.diary.spent += seconds_of_telling(len(experience.visits) - 1, experience.features.size)
+            n_steps, n_numbers = len(experience.visits) - 1, experience.features.size
+            self.diary.spent += nominal_seconds(telling=1, step=n_steps, feature=n_numbers)
             self._proposals = proposals
         return self._take()
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
-from sb3_options.density.diverse_density import DiverseDensity, Peak
+from sb3_options.density.diverse_density import SHORTLIST_PAIRS, SMALLEST_BAGS, DiverseDensity, Peak
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.bags import BagMaker, FilteredBags
-from sb3_options.discovery.budget import seconds_of_bags, seconds_of_certain, seconds_of_search
+from sb3_options.discovery.budget import POINT_FEATURES, nominal_seconds
 from sb3_options.discovery.contrast import Contrast
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
@@ -26,6 +26,12 @@ WARM_STARTS = 4
 
 NOTHING_LEFT = 5
 """Once subgoals were found, and the filters leave nothing else, one of so many searches is made."""
+
+ASCENTS = 96
+"""Evaluations of all instances by the points that ascend in a gradient search: 8 of them in 12 steps."""
+
+EXHAUSTIVE_SHARE = 0.25
+"""An evaluation without a gradient takes this share of one with a gradient."""
 
 PEAK_TOLERANCE = 1e-3
 """Peaks whose log density is within this of the best one tie with it, in nats: what ascents leave undone."""
@@ -116,7 +122,7 @@ class PersistentPeaks(Method):
         starts = np.array([peak.point for peak in before[:WARM_STARTS]]) if before and not exhaustive else None
         self.peaks = [] if evidence.negative else self._certain(evidence, engine, starts)
         if self.peaks:
-            self._cost += seconds_of_certain(evidence.n_instances, evidence.positive[0].shape[1])
+            self._cost += nominal_seconds(direct=1, certain=evidence.n_instances * evidence.n_features)
         else:
             self.peaks = self._search(evidence, engine, starts)
             self._cost += self._seconds_of_search(evidence, engine)
@@ -131,11 +137,15 @@ class PersistentPeaks(Method):
         return engine.search(evidence.bags, starts=starts)
 
     def _seconds_of_search(self, evidence: FilteredBags, engine: DiverseDensity) -> float:
-        kind: Literal["gradient", "exhaustive", "one-hot"] = "gradient"
+        n, d = evidence.n_instances, evidence.n_features
+        if self.filters.kind == "categorical":
+            return nominal_seconds(direct=1, one_hot=n * d)
+        sizes = sorted(map(len, evidence.positive))
         if engine.method == "exhaustive":
-            kind = "one-hot" if self.filters.kind == "categorical" else "exhaustive"
-        sizes = [len(bag) for bag in evidence.positive]
-        return seconds_of_search(kind, sizes, evidence.n_instances, evidence.positive[0].shape[1])
+            n_points = sum(sizes) * EXHAUSTIVE_SHARE
+        else:
+            n_points = ASCENTS + min(sum(sizes[:SMALLEST_BAGS]), max(2 * ASCENTS, SHORTLIST_PAIRS // n))
+        return nominal_seconds(search=1, pair=n * n_points * (d + POINT_FEATURES))
 
     def bags(self, experience: Experience) -> FilteredBags | None:
         """The bags of the database; None while there are too few positive ones to search."""
@@ -145,9 +155,14 @@ class PersistentPeaks(Method):
             self.filters.find_scale(database)
         avoided = [region for region in experience.avoided if region.group == self.filters.group]
         evidence = self.maker.make(database, avoided)
-        n, d = (0, 0) if evidence is None else (evidence.n_instances, evidence.positive[0].shape[1])
-        n_cuts = 0 if cuts is None else cuts.n_computed - n_computed
-        self._cost = seconds_of_bags(len(database), self._n_new, n, d, n_cuts)
+        n, d = (0, 0) if evidence is None else (evidence.n_instances, evidence.n_features)
+        self._cost = nominal_seconds(
+            trajectory=len(database),
+            state=self._n_new,
+            state_feature=self._n_new * d,
+            way_pair=self._n_new * n * (d + POINT_FEATURES),
+            cut=0 if cuts is None else cuts.n_computed - n_computed,
+        )
         self._n_new = 0
         return evidence
 

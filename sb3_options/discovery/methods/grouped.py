@@ -10,7 +10,7 @@ import numpy as np
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.discovery.budget import seconds_of_contrast
+from sb3_options.discovery.budget import nominal_seconds
 from sb3_options.discovery.contrast import Contrast
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
@@ -87,7 +87,8 @@ class GroupedPeaks(Method):
             trajectories = list(database)
             for contrast in self._contrasts:
                 contrast.update(trajectories)
-                self._cost += seconds_of_contrast(len(trajectories), contrast.n_states)
+                n, n_states = len(trajectories), contrast.n_states
+                self._cost += nominal_seconds(contrast=1, compared=n, cell=n_states * (n + n_states))
             for member in self._members:
                 assert member.contrast is not None  # each has one
                 if member.contrast.largest() >= self.settings.min_contrast:
