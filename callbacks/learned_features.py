@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from sb3_options.callbacks.installer import OptionInstaller
-from sb3_options.discovery.anchors import moved, nearest_observations
-from sb3_options.discovery.discovery import Discovery
+from sb3_options.discovery.discovery import Discovery, nearest_observations
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.learner import FIRST_TRAJECTORIES, FeatureLearner
@@ -70,8 +69,8 @@ class LearnedFeatures:
         for slot, (subgoal, initiation, _) in list(self._anchors.items()):
             option = options.bank[slot]
             if isinstance(option, SubgoalOption):
-                region = moved(option.initiation_set, initiation, self.map)
-                options.replace(slot, option.with_regions(moved(option.subgoal, subgoal, self.map), region))
+                region = option.initiation_set.around(self.map(initiation))
+                options.replace(slot, option.with_regions(option.subgoal.around(self.map(subgoal)), region))
                 self._anchors[slot] = subgoal, initiation, region.points
         return True
 

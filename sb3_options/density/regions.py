@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -91,6 +91,10 @@ class Region:
     def _factors(self) -> list[float]:
         factors: list[float] = np.broadcast_to(self.scale, self.points.shape[1:]).tolist()
         return factors
+
+    def around(self, points: FloatArray) -> Region:
+        """The same region around other points, as when φ has moved."""
+        return replace(self, points=np.unique(points, axis=0))
 
     def own(self, features: FloatArray) -> FloatArray:
         """The features that count, of all features (batch, d)."""

@@ -8,20 +8,19 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.discovery.anchors import moved, nearest_observations
 from sb3_options.discovery.budget import nominal_seconds
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
 from sb3_options.discovery.methods import DiscoveryMethod, Experience, Method, method_with
-from sb3_options.discovery.outcome_database import OutcomeDatabase
-from sb3_options.discovery.salience import Salience
+from sb3_options.discovery.salience import OutcomeDatabase, Salience
 from sb3_options.discovery.settings import DiscoverySettings, described
 from sb3_options.discovery.static_filter import StaticFilter
 from sb3_options.embedding.learner import FeatureLearner
-from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size
+from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size, concatenate, take
 from sb3_options.experience.success import SuccessRule, reported_success
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory, TrajectoryDatabase
 from sb3_options.state import storable
@@ -288,5 +287,18 @@ class Discovery:
         self.database.embed_again(feature_map)
         for i, found in enumerate(self.found):
             if found.observation is not None:
-                self.found[i] = found._replace(subgoal=moved(found.subgoal, found.observation, feature_map))
+                self.found[i] = found._replace(subgoal=found.subgoal.around(feature_map(found.observation)))
         self.method.embed_again(places, self.database)
+
+
+def nearest_observations(points: FloatArray, trajectories: Iterable[LabelledTrajectory]) -> Observations:
+    """The observations whose features are nearest to some points of concept space, one each."""
+    least = np.full(len(points), np.inf)
+    nearest: list[Observations | None] = [None] * len(points)
+    for labelled in trajectories:
+        distances = cdist(points, labelled.features)
+        rows = distances.argmin(axis=1)
+        for i in np.flatnonzero(distances.min(axis=1) < least):
+            least[i] = distances[i, rows[i]]
+            nearest[i] = take(labelled.trajectory.states, rows[i : i + 1])
+    return concatenate([each for each in nearest if each is not None])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from sb3_options.density.arrays import row_keys, short_key
@@ -33,6 +31,8 @@ class LocalCuts:
     Attributes:
         n_computed: Shares that were computed; the others were known.
     """
+
+    STATE = ("n_computed", "_number", "_neighbours", "_n_trajectories", "_shares")
 
     def __init__(self) -> None:
         self.n_computed = 0
@@ -73,31 +73,6 @@ class LocalCuts:
         for number in set(numbers[np.isnan(self._shares[numbers]) & ~once].tolist()):
             self._shares[number] = self._computed(number)
         return np.where(once, UNKNOWN, self._shares[numbers])
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        known = np.flatnonzero(~np.isnan(self._shares[:-1]))
-        edges = [(one, other) for one, near in enumerate(self._neighbours) for other in sorted(near) if one < other]
-        return {
-            "states": np.array([np.frombuffer(key) for key in self._number]),
-            "edges": np.array(edges, dtype=np.int64).reshape(-1, 2),
-            "n_trajectories": self._n_trajectories[: len(self._number)].copy(),
-            "known": known,
-            "shares": self._shares[known],
-            "n_computed": self.n_computed,
-        }
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self.n_computed = state["n_computed"]
-        self._number = {short_key(each.tobytes()): number for number, each in enumerate(state["states"])}
-        self._neighbours = [set() for _ in self._number]
-        for one, other in state["edges"].tolist():
-            self._neighbours[one].add(other)
-            self._neighbours[other].add(one)
-        self._n_trajectories[: len(self._number)] = state["n_trajectories"]
-        self._shares[:-1] = np.nan
-        self._shares[state["known"]] = state["shares"]
 
     def _numbered(self, key: bytes) -> int:
         """The number of a new state, −1 if there is no room."""

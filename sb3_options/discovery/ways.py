@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from sb3_options.density.arrays import row_keys
-from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.experience.observations import FloatArray, IntArray
 
 NEAR = 5.0
 """A way comes near a place within this many times the radius within which it leads through it."""
 
 AT_ONCE = 1 << 20
-"""Distances, or features, that are held at once."""
+"""Distances that are held at once."""
 
 FEW_STATES = 256
 """Up to so many states all distances between them at once take less time than a tree."""
@@ -72,72 +71,38 @@ class PassingShare:
 
     def __init__(self, radius: float) -> None:
         self._limits = np.array([[NEAR * radius], [radius]])
-        self._ways: dict[int, tuple[FloatArray, IntArray]] = {}  # by id: each way, and the numbers of its states
-        self._number: dict[bytes, int] = {}
-        self._states: FloatArray = np.zeros((0, 0))
-        self._counts: IntArray = np.zeros((2, 0), dtype=np.int64)  # by number: ways near, ways through
+        self._ways: dict[int, FloatArray] = {}  # by id
+        self._counts: dict[int, IntArray] = {}  # of each way, at its states: ways near, ways through, (2, k)
 
     def update(self, ways: Sequence[FloatArray]) -> FloatArray:
         """The shares among these ways; only ways added or removed since the last call are counted."""
         current = set(map(id, ways))
-        for gone in [key for key in self._ways if key not in current]:
-            self._remove(gone)
-        new = [way for way in ways if id(way) not in self._ways]
-        if new:
-            self._add(new)
-        near, through = self._counts[:, np.concatenate([self._ways[id(way)][1] for way in ways])]
+        for key in [key for key in self._ways if key not in current]:
+            gone = self._ways.pop(key)
+            del self._counts[key]
+            if self._ways:
+                self._count(gone, -1)
+        for way in ways:
+            if id(way) not in self._ways:
+                self._ways[id(way)] = way
+                self._count(way, 1)
+        near, through = np.concatenate([self._counts[id(way)] for way in ways], axis=1)
         shares: FloatArray = through / (near + 1.0)
         return shares
 
-    def _add(self, ways: Sequence[FloatArray]) -> None:
-        """Count ways at all states, and the ways before them at those of their states that are new."""
-        n_known, together = len(self._number), np.concatenate(ways)
-        numbers = np.array([self._number.setdefault(key, len(self._number)) for key in row_keys(together)])
-        if len(self._number) > n_known:
-            new = np.unique(numbers[numbers >= n_known], return_index=True)[1]
-            states = together[numbers >= n_known][new]
-            self._states = np.concatenate([self._states.reshape(-1, together.shape[1]), states])
-            self._counts = np.concatenate([self._counts, self._led_by_others(states, n_known)], axis=1)
-        starts = np.cumsum([0, *map(len, ways[:-1])])
-        own = np.split(numbers, starts[1:])
-        self._ways |= {id(way): (way, of) for way, of in zip(ways, own, strict=True)}
-        for of in own:
-            self._counts += self._leads_by(of)
-
-    def _led_by_others(self, states: FloatArray, n_known: int) -> IntArray:
-        """How many of the ways before come near new states, and lead through them, (2, n)."""
-        counts = np.zeros((2, len(states)), dtype=np.int64)
-        if self._ways:
-            of_others = [of for _, of in self._ways.values()]
-            starts, others = np.cumsum([0, *map(len, of_others[:-1])]), np.concatenate(of_others)
-            for rows in self._in_parts(np.arange(len(states)), len(others)):
-                distances = cdist(states[rows], self._states[:n_known])[:, others]
-                nearest = np.minimum.reduceat(distances, starts, axis=1)
-                counts[:, rows] = (nearest <= self._limits[..., None]).sum(axis=2)
-        return counts
-
-    def _remove(self, key: int) -> None:
-        """Take a way out of the counts, and forget states that no way has, if they are most."""
-        _, numbers = self._ways.pop(key)
-        self._counts -= self._leads_by(numbers)
-        if 2 * sum(len(of) for _, of in self._ways.values()) < len(self._number):
-            used = np.unique(np.concatenate([numbers[:0], *(of for _, of in self._ways.values())]))
-            place = np.full(len(self._number), -1)
-            place[used] = np.arange(len(used))
-            keys = list(self._number)
-            self._number = {keys[number]: i for i, number in enumerate(used.tolist())}
-            self._states, self._counts = self._states[used], self._counts[:, used]
-            self._ways = {key: (way, place[of]) for key, (way, of) in self._ways.items()}
-
-    def _leads_by(self, numbers: IntArray) -> BoolArray:
-        """Which states a way comes near and leads through, (2, n)."""
-        nearest: FloatArray = np.full(len(self._states), np.inf)
-        for rows in self._in_parts(numbers, len(self._states)):
-            np.minimum(nearest, cdist(self._states[rows], self._states).min(axis=0), out=nearest)
-        leads: BoolArray = nearest <= self._limits
-        return leads
-
-    def _in_parts(self, numbers: IntArray, n_compared: int) -> Iterator[IntArray]:
-        """These, as many at once as memory should hold distances to others, and copies of them."""
-        size = max(AT_ONCE // max(n_compared, self._states.shape[1]), 1)
-        return (numbers[start : start + size] for start in range(0, len(numbers), size))
+    def _count(self, way: FloatArray, sign: int) -> None:
+        """Add a way to the counts at the states of all others, and all to the counts at its own; or take it out."""
+        together = np.concatenate(list(self._ways.values()))
+        starts = np.cumsum([0, *map(len, self._ways.values())])[:-1]
+        at_once = max(AT_ONCE // max(together.shape), 1)
+        nearest = np.full(len(together), np.inf)
+        own = np.zeros((2, len(way)), dtype=np.int64)
+        for first in range(0, len(way), at_once):
+            part = slice(first, first + at_once)
+            distances = cdist(way[part], together)
+            np.minimum(nearest, distances.min(axis=0), out=nearest)
+            by_way = np.minimum.reduceat(distances, starts, axis=1)
+            own[:, part] = (by_way <= self._limits[..., None]).sum(axis=2)
+        leads = np.split(nearest <= self._limits, starts[1:], axis=1)
+        for key, at_its_states in zip(self._ways, leads, strict=True):
+            self._counts[key] = own if self._ways[key] is way else self._counts[key] + sign * at_its_states

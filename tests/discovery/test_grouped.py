@@ -10,8 +10,7 @@ from sb3_options.discovery.contrast import NO_PLACE, Contrast
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import map_figure, subgoals_figure
 from sb3_options.discovery.methods.grouped import GroupedPeaks
-from sb3_options.discovery.outcome_database import OutcomeDatabase
-from sb3_options.discovery.salience import Salience
+from sb3_options.discovery.salience import OutcomeDatabase, Salience
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory

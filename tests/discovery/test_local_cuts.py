@@ -1,3 +1,4 @@
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from sb3_options.discovery import local_cuts
 from sb3_options.discovery.local_cuts import LocalCuts
 from sb3_options.envs import GridWorld
+from sb3_options.state import restore, state_of
 
 ROOMS = """
     ###########
@@ -86,13 +88,9 @@ def test_negative_zero_is_zero() -> None:
 def test_states_of_many_features_have_short_keys_and_the_same_shares() -> None:
     many = np.zeros((3, 20))
     many[:, 19] = np.arange(3.0)
-    ways = [[tuple(many[row]) for row in way] for way in ((0, 1, 2), (1, 2), (2, 1))]
-    cuts = walked(LocalCuts(), ways)
-    again = LocalCuts()
-    again.set_state(cuts.get_state())
+    cuts = walked(LocalCuts(), [[tuple(many[row]) for row in way] for way in ((0, 1, 2), (1, 2), (2, 1))])
     assert {len(key) for key in cuts._number} == {16}
-    for each in (cuts, again):
-        assert shares_of(each, many).tolist() == [0.5, 0.5, 0.0]
+    assert shares_of(cuts, many).tolist() == [0.5, 0.5, 0.0]
 
 
 def test_goes_on_from_a_state(rng: np.random.Generator) -> None:
@@ -108,13 +106,10 @@ def test_goes_on_from_a_state(rng: np.random.Generator) -> None:
     asked: npt.NDArray[np.float64] = rng.integers(-3, 4, (5, 2)).astype(float)
     shares_of(cuts, asked)
     again = LocalCuts()
-    again.set_state(cuts.get_state())
+    restore(again, copy.deepcopy(state_of(cuts)))
     later = walk(20)
     everything = np.stack(np.meshgrid(np.arange(-3.0, 4), np.arange(-3.0, 4)), axis=-1).reshape(-1, 2)
     for one in (cuts, again):
         walked(one, [later])
     assert shares_of(cuts, everything).tolist() == shares_of(again, everything).tolist()
     assert cuts.n_computed == again.n_computed
-    empty = LocalCuts()
-    empty.set_state(LocalCuts().get_state())
-    assert shares_of(empty, everything).tolist() == [0.5] * len(everything)

@@ -10,8 +10,7 @@ import pytest
 from sb3_options.checkpoints.tree import decode, encode
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.outcome_database import OutcomeDatabase
-from sb3_options.discovery.salience import LEAST_TRAJECTORIES, Salience
+from sb3_options.discovery.salience import LEAST_TRAJECTORIES, OutcomeDatabase, Salience
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.state import restore, state_of

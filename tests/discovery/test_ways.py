@@ -105,14 +105,6 @@ def test_counts_on_as_ways_come_and_go(rng: np.random.Generator, decimals: int) 
     assert shares.update(some[::-1]).tolist() == brute_force(some[::-1], 1.0)
 
 
-def test_forgets_states_that_no_way_has(rng: np.random.Generator) -> None:
-    ways = [rng.uniform(0, 10, (8, 2)) for _ in range(40)]
-    shares = PassingShare(1.0)
-    for first in range(30):
-        shares.update(ways[first : first + 10])
-    assert len(shares._states) < 2 * 10 * 8 + 8
-
-
 def test_many_states_lose_the_loops_that_few_do(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Distances at once find what a tree finds."""
     points = rng.uniform(0, 10, (100, 2))

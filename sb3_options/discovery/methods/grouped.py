@@ -16,7 +16,7 @@ from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.methods.method import Experience, Method
-from sb3_options.discovery.outcome_database import OutcomeDatabase
+from sb3_options.discovery.salience import OutcomeDatabase
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import TrajectoryDatabase
 
