@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -16,12 +16,9 @@ from sb3_options.discovery.filters import Filters, Way
 from sb3_options.discovery.local_cuts import LocalCuts
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.ways import PassingShare, loop_erased
-from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
+from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.state import storable
-
-AT_ONCE = 1 << 17
-"""Features of ways, about, whose distances to a subgoal are computed at once."""
 
 
 @storable
@@ -53,26 +50,6 @@ class FilteredBags:
         return Bags.pack(self.positive, self.negative)
 
 
-@dataclass(eq=False)
-class _Bag(Way):
-    """A way, and which of its states may be instances.
-
-    The way has the states that the trajectory led through, or all that it visited. Each is in it once: a state that is
-    visited often would count often in the noisy-or (McGovern & Barto 2001, §3).
-
-    Attributes:
-        allowed: Which states the static filter leaves, (k,).
-        far: Which states are far from all other subgoals, (k,); empty before that is asked for.
-        free: The states that are allowed and far.
-        numbers: Of the states in the `LocalCuts`, (k,); None before they are asked for.
-    """
-
-    allowed: BoolArray
-    far: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    free: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    numbers: IntArray | None = None
-
-
 class BagMaker:
     """Makes bags. All but the `cuts` follows from the database, and is not in a checkpoint."""
 
@@ -84,7 +61,7 @@ class BagMaker:
         self.contrast = contrast
         self.emptied_by = ""  # the setting of the filter that left too few bags, or of the last one
         self._passing = PassingShare(settings.subgoal_radius)
-        self._known: dict[LabelledTrajectory, _Bag] = {}
+        self._known: dict[LabelledTrajectory, Way] = {}
         self._others: list[Region] = []
         has_cuts = settings.min_cut > 0.0 and settings.min_passing > 0.0 and filters.group is None
         self.cuts = LocalCuts() if has_cuts else None
@@ -104,7 +81,7 @@ class BagMaker:
             positive_bags = [k.states[own] for k, own in zip(known, kept, strict=True) if own.any()]
             if len(positive_bags) < self.settings.min_positive:
                 return None
-        negative = [k.free for t, k in self._known.items() if not t.success]
+        negative = [k.states[k.allowed & k.far] for t, k in self._known.items() if not t.success]
         return FilteredBags(positive_bags, [bag for bag in negative if len(bag)])
 
     def cuts_off(self, instance: FloatArray) -> bool:
@@ -126,24 +103,19 @@ class BagMaker:
         self._known = {t: self._known.get(t) or self._way(t) for t in trajectories}
         same = len(others) == len(self._others) and all(map(operator.is_, others, self._others))
         self._others = list(others)
-        late = [k for k in self._known.values() if not (same and len(k.far) == len(k.rows))]
-        at_once = max(AT_ONCE // max((k.states.size for k in late), default=1), 1)
-        for first in range(0, len(late), at_once):
-            some = late[first : first + at_once]
-            far = np.split(self.filters.far_from(some, others), np.cumsum([len(k.rows) for k in some])[:-1])
-            for k, own in zip(some, far, strict=True):
-                k.far = own
-                k.free = k.states[k.allowed & own]
+        for k in self._known.values():
+            if not (same and len(k.far)):
+                k.far = self.filters.far_from(k, others)
 
-    def _way(self, labelled: LabelledTrajectory) -> _Bag:
+    def _way(self, labelled: LabelledTrajectory) -> Way:
         states, visits = self.filters.own(labelled), labelled.trajectory.visits
         scaled = states * self.filters.known_scale
         erase = labelled.success and self.settings.loops == "erase"
         # Different observations may have the same φ; a way without loops has none twice.
         rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else first_rows(scaled)
-        return _Bag(labelled, rows, states[rows], scaled[rows], self.filters.allowed(labelled)[rows])
+        return Way(labelled, rows, states[rows], scaled[rows], self.filters.allowed(labelled)[rows])
 
-    def _standing_out(self, known: Sequence[_Bag]) -> dict[str, BoolArray]:
+    def _standing_out(self, known: Sequence[Way]) -> dict[str, BoolArray]:
         """Which states each filter leaves, one filter after the other: `min_contrast`, or `min_passing` and `min_cut`.
 
         All ways at once, way after way: a call for each of a hundred takes longer than what it computes.

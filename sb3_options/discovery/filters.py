@@ -14,7 +14,6 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.settings import DiscoverySettings, default_scale
 from sb3_options.discovery.static_filter import (
     StaticFilter,
-    kept_by,
     near_start_and_goal,
     steps_from,
     steps_from_start_and_goal,
@@ -26,19 +25,27 @@ from sb3_options.state import TRANSIENT
 
 @dataclass(eq=False)
 class Way:
-    """States of a trajectory in order.
+    """States of a trajectory in order: those that it led through, or all that it visited.
+
+    Each is in it once: a state that is visited often would count often in the noisy-or (McGovern & Barto 2001, §3).
 
     Attributes:
         labelled: The trajectory.
         rows: Rows of its features, (k,).
         states: Those features, or those of a group, (k, d).
         scaled: The same in scaled units.
+        allowed: Which of them the static filter leaves, (k,).
+        far: Which are far from all other subgoals, (k,); empty before that is asked for.
+        numbers: Of the states in the `LocalCuts`, (k,); None before they are asked for.
     """
 
     labelled: LabelledTrajectory
     rows: IntArray
     states: FloatArray
     scaled: FloatArray
+    allowed: BoolArray
+    far: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    numbers: IntArray | None = None
 
 
 @dataclass
@@ -84,7 +91,12 @@ class Filters:
         if self.counts_steps:
             return steps_from_start_and_goal(visits, s.start_radius, s.goal_radius)
         static_filter = self.static_filter or near_start_and_goal(s.start_radius, s.goal_radius)
-        allowed = kept_by(static_filter, self.own(labelled), int(visits[-1]), self.known_scale)
+        scaled = self.own(labelled) * self.known_scale
+        allowed = np.asarray(static_filter(scaled, scaled[0], scaled[visits[-1]]), dtype=bool)
+        if allowed.shape != (len(scaled),):
+            raise ValueError(
+                f"static_filter must return shape ({len(scaled)},), one bool a state, got {allowed.shape}."
+            )
         return allowed if self.group is None else allowed & self.group.is_place(labelled.features)
 
     def may_be_subgoals(self, labelled: LabelledTrajectory, others: Sequence[Region]) -> BoolArray:
@@ -92,19 +104,19 @@ class Filters:
         states, allowed = self.own(labelled), self.allowed(labelled)
         if not others:
             return allowed
-        way = Way(labelled, np.arange(len(states)), states, states * self.known_scale)
-        return allowed & self.far_from([way], others)
+        way = Way(labelled, np.arange(len(states)), states, states * self.known_scale, allowed)
+        return allowed & self.far_from(way, others)
 
-    def far_from(self, ways: Sequence[Way], others: Sequence[Region]) -> BoolArray:
-        """Which states of some ways are farther than `spacing` from other subgoals, way after way, (Σ k_i,)."""
-        far: BoolArray = np.ones(sum(len(way.rows) for way in ways), dtype=bool)
+    def far_from(self, way: Way, others: Sequence[Region]) -> BoolArray:
+        """Which states of a way are farther than `spacing` from other subgoals, (k,)."""
+        far: BoolArray = np.ones(len(way.rows), dtype=bool)
         spacing = self.settings.spacing
         if self.counts_steps:
+            features, visits = way.labelled.features, way.labelled.trajectory.visits
             for subgoal in others:
-                far &= np.concatenate([_steps(way, subgoal) for way in ways]) > spacing
+                far &= steps_from(np.flatnonzero(subgoal.contains(features)), visits)[way.rows] > spacing
         elif places := [subgoal.points[0] for subgoal in others if len(subgoal.points)]:
-            distances = cdist(np.concatenate([way.scaled for way in ways]), np.array(places) * self.known_scale)
-            far &= np.all(distances > spacing, axis=1)
+            far &= (cdist(way.scaled, np.array(places) * self.known_scale) > spacing).all(axis=1)
         return far
 
     def is_apart(self, goal: Region, others: Sequence[Region], database: Iterable[LabelledTrajectory]) -> bool:
@@ -125,9 +137,3 @@ class Filters:
                 visits = labelled.trajectory.visits
                 return all(steps_from(rows, visits)[at].min() > spacing for rows in visited if len(rows))
         return True
-
-
-def _steps(way: Way, subgoal: Region) -> IntArray:
-    """Steps along the trajectory between each state of a way and a subgoal, (k,)."""
-    there = np.flatnonzero(subgoal.contains(way.labelled.features))
-    return steps_from(there, way.labelled.trajectory.visits)[way.rows]

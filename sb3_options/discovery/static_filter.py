@@ -52,11 +52,3 @@ def steps_from(rows: IntArray, visits: IntArray) -> IntArray:
     after, before = at[np.minimum(place, len(at) - 1)], at[np.maximum(place - 1, 0)]
     np.minimum.at(fewest, visits, np.minimum(np.abs(after - times), np.abs(times - before)))
     return fewest
-
-
-def kept_by(static_filter: StaticFilter, features: FloatArray, last: int, scale: FloatArray) -> BoolArray:
-    """Which states of a trajectory a filter leaves, shape (m,)."""
-    keep = np.asarray(static_filter(features * scale, features[0] * scale, features[last] * scale), dtype=bool)
-    if keep.shape != (len(features),):
-        raise ValueError(f"static_filter must return shape ({len(features)},), one bool a state, got {keep.shape}.")
-    return keep

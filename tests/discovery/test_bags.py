@@ -2,7 +2,6 @@ import copy
 from typing import Any
 
 import numpy as np
-import pytest
 
 from sb3_options.discovery.bags import BagMaker, FilteredBags
 from sb3_options.discovery.filters import Filters
@@ -69,16 +68,6 @@ def test_a_new_subgoal_changes_the_bags_near_it() -> None:
     assert places(first.positive) == [[10.0]] * 6
     assert one.make(ways, [ball(10.0)]) is None
     assert one.make(ways, []) is not None
-
-
-def test_bags_are_made_in_parts_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    ways = [line([0, i, i + 1, 10, i + 2, 20]) for i in (3, 5, 13)]
-    at_once = make(*ways, taken=[ball(10.0)], spacing=4.0)
-    monkeypatch.setattr("sb3_options.discovery.bags.AT_ONCE", 1)
-    in_parts = make(*ways, taken=[ball(10.0)], spacing=4.0)
-    assert at_once is not None
-    assert in_parts is not None
-    assert places(in_parts.positive) == places(at_once.positive) == [[3, 4, 5], [5], [15]]
 
 
 def test_a_copy_makes_the_same_bags() -> None:

@@ -3,7 +3,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.discovery.static_filter import kept_by, near_start_and_goal, steps_from, steps_from_start_and_goal
+from sb3_options.discovery.filters import Filters
+from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.discovery.static_filter import near_start_and_goal, steps_from, steps_from_start_and_goal
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 
 
 class TestStaticFilter:
@@ -47,8 +50,18 @@ class TestSteps:
         assert steps_from(np.array(rows, dtype=int), visits).tolist() == expected
 
 
-class TestKeptBy:
-    def test_the_filter_sees_scaled_features_of_the_start_and_the_last_state(self) -> None:
+class TestOfAUser:
+    def kept(self, static_filter: Any) -> Any:
+        """Of a walk along 1, 2, 3 and back to 2."""
+        features = np.array([[1.0], [2.0], [3.0]])
+        steps = np.zeros(3)
+        walk = Trajectory(features, np.array([0, 1, 2, 1]), steps.astype(int), steps, True, False, True)
+        filters = Filters(DiscoverySettings(scale=10.0), static_filter)
+        labelled = LabelledTrajectory(walk, features, success=True)
+        filters.find_scale([labelled])
+        return filters.allowed(labelled)
+
+    def test_sees_scaled_features_of_the_start_and_the_last_state(self) -> None:
         seen: list[Any] = []
 
         def spy(features: Any, start: Any, end: Any) -> Any:  # numbers will do
@@ -56,12 +69,11 @@ class TestKeptBy:
             return np.array([1, 0, 1])
 
         # The last state is where the trajectory ended, not the one that was new last.
-        kept = kept_by(spy, np.array([[1.0], [2.0], [3.0]]), 1, np.array([10.0]))
+        assert self.kept(spy).tolist() == [True, False, True]
         assert seen == [[[10], [20], [30]], [10], [20]]
-        assert kept.tolist() == [True, False, True]
 
     def test_of_another_shape(self) -> None:
         with pytest.raises(
             ValueError, match=r"^static_filter must return shape \(3,\), one bool a state, got \(2,\)\.$"
         ):
-            kept_by(lambda f, s, e: np.ones(2, dtype=bool), np.zeros((3, 2)), 0, np.ones(2))
+            self.kept(lambda f, s, e: np.ones(2, dtype=bool))
