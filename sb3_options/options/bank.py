@@ -14,7 +14,7 @@ from sb3_options.experience.observations import BoolArray, FeatureMap, Observati
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import Source, name_of
 from sb3_options.options.file import MAX_SLOTS, SpaceSignature
-from sb3_options.options.option import KnownFeatures, Option, SingleCache, SubgoalOption
+from sb3_options.options.option import Option, SingleCache, SubgoalOption
 from sb3_options.options.sealed import errors_of
 
 
@@ -54,7 +54,6 @@ class OptionBank:
         self.observation_size = observation_size
         self.feature_size = feature_size
         self.signature = signature
-        self._shared: KnownFeatures | None = None
         self._slots: list[Option | None] = [None] * max_options
         self.filled: tuple[int, ...] = ()
         self._forget_results()
@@ -170,13 +169,9 @@ class OptionBank:
             self._put(slot, self._bound(option))
 
     def _bound(self, option: Option) -> Option:
-        if not isinstance(option, SubgoalOption) or self.feature_map is None:
-            return option
-        if isinstance(self.feature_map, LearnedMap):  # it becomes another while it is learned
+        if isinstance(option, SubgoalOption) and self.feature_map is not None:
             return option.bind(self.feature_map)
-        if self._shared is None or self._shared.of != self.feature_map:
-            self._shared = KnownFeatures(self.feature_map)
-        return option.bind(self._shared)
+        return option
 
     def _put(self, slot: int, option: Option | None) -> None:
         self._slots[slot] = option
@@ -187,7 +182,7 @@ class OptionBank:
         # Functions may not travel between processes; whoever receives the bank has a feature map of its own. A learned
         # one is data, and belongs to what `content` gives.
         learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
-        return {**self.__dict__, "feature_map": learned, "_shared": None, "_known": SingleCache()}
+        return {**self.__dict__, "feature_map": learned, "_known": SingleCache()}
 
     def check_slot(self, slot: int) -> None:
         """Refuse an unknown slot."""
