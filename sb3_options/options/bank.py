@@ -14,7 +14,7 @@ from sb3_options.experience.observations import BoolArray, FeatureMap, Observati
 from sb3_options.options import file as option_file
 from sb3_options.options.archive import Source, name_of
 from sb3_options.options.file import MAX_SLOTS, SpaceSignature
-from sb3_options.options.option import Option, SingleCache, SubgoalOption
+from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.sealed import errors_of
 
 
@@ -56,7 +56,6 @@ class OptionBank:
         self.signature = signature
         self._slots: list[Option | None] = [None] * max_options
         self.filled: tuple[int, ...] = ()
-        self._forget_results()
 
     def copy(self) -> OptionBank:
         """The same options in slots of its own."""
@@ -107,7 +106,6 @@ class OptionBank:
         """Take ``feature_map`` for the discovered options there are and those to come."""
         self.feature_map = feature_map
         self._slots = [option and self._bound(option) for option in self._slots]
-        self._forget_results()
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
@@ -120,19 +118,10 @@ class OptionBank:
 
     def available_slots(self, observations: Observations) -> BoolArray:
         """Which options may start in each observation, shape (batch, max_options)."""
-        if self._by_data:
-            return self._known(self._computed_slots, observations).copy()
-        return self._computed_slots(observations)
-
-    def _computed_slots(self, observations: Observations) -> BoolArray:
         mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
         for slot in self.filled:
             mask[:, slot] = cast("Option", self._slots[slot]).initiation(observations)
         return mask
-
-    def _forget_results(self) -> None:
-        self._by_data = all(isinstance(self._slots[slot], SubgoalOption) for slot in self.filled)
-        self._known: SingleCache[BoolArray] = SingleCache()  # a hand-made option may remember something
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the discovered options to a safetensors file, atomically: arrays and JSON, nothing that can run.
@@ -176,13 +165,12 @@ class OptionBank:
     def _put(self, slot: int, option: Option | None) -> None:
         self._slots[slot] = option
         self.filled = tuple(i for i, present in enumerate(self._slots) if present is not None)
-        self._forget_results()
 
     def __getstate__(self) -> dict[str, Any]:
         # Functions may not travel between processes; whoever receives the bank has a feature map of its own. A learned
         # one is data, and belongs to what `content` gives.
         learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
-        return {**self.__dict__, "feature_map": learned, "_known": SingleCache()}
+        return {**self.__dict__, "feature_map": learned}
 
     def check_slot(self, slot: int) -> None:
         """Refuse an unknown slot."""
