@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import sys
 from collections.abc import Sequence
 
@@ -25,11 +24,7 @@ def main(program: str = "sb3-options", default: Sequence[str] = ("--help",)) -> 
         sys.exit(f"{program} needs the package {error.name}: {how_to_install('train', 'contrib')}")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal of another encoding has no φ
-    try:
-        cli.main(sys.argv[1:] or default)
-        sys.stdout.flush()
-    except BrokenPipeError:  # as of `sb3-options options RUN | head -1`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more at its end
+    cli.main(sys.argv[1:] or default)
 
 
 if __name__ == "__main__":

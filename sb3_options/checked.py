@@ -58,11 +58,7 @@ def whole(value: object, least: int) -> bool:
 
 def given_as(cls: type[T], given: T | Mapping[str, Any]) -> T:
     """Settings as they were given, or those with the given fields."""
-    if not isinstance(given, Mapping | cls):
-        raise TypeError(f"{cls.__name__} must be given as one, or as a mapping of its fields, got {given!r}.")
-    if isinstance(given, Mapping) and "self" in given:  # SB3 calls a class with the variables of learn()
-        raise TypeError(f"{cls.__name__} got no settings. Pass an object, callback=NAME(), and not the class.")
-    return cls(**given) if isinstance(given, Mapping) else given
+    return given if isinstance(given, cls) else cls(**given)  # type: ignore[arg-type]  # a mapping, or Python refuses it
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:

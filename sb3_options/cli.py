@@ -1,4 +1,4 @@
-"""The command line: train a run, resume it, evaluate it, compare runs, search settings, show options.
+"""The command line: train a run, resume it, evaluate it, compare runs, show options.
 
 What a command runs is imported when it runs, so the help is shown at once.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,10 +20,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sb3_options.extras import how_to_install
 from sb3_options.runs import config as configs
 from sb3_options.runs import yaml_file
-from sb3_options.runs.commands import CompareConfig, DemoConfig, EvaluateConfig, InspectConfig, ResumeConfig, TuneConfig
+from sb3_options.runs.commands import CompareConfig, DemoConfig, EvaluateConfig, InspectConfig, ResumeConfig
 from sb3_options.runs.config import FIELDS, GROUPS, IMPORTING, TrainConfig, flag, program
 
 USAGE = 2
@@ -39,7 +39,6 @@ COMMANDS: dict[str, tuple[type[Any], str]] = {
     "evaluate": (EvaluateConfig, "evaluation:show_evaluation"),
     "resume": (ResumeConfig, "training:resume"),
     "compare": (CompareConfig, "compare:show_comparison"),
-    "tune": (TuneConfig, "tune:tune"),
     "options": (InspectConfig, "report:show_options"),
 }
 """What a command takes, and the module and function in ``sb3_options.runs`` that it calls."""
@@ -50,7 +49,7 @@ INTRODUCTION = """Train an agent that discovers its own options, or evaluate one
   demo              shows the gain in two minutes
   evaluate RUN      plays a run again; `resume RUN` goes on with one
   compare RUN ...   sets runs side by side; `options RUN` shows its options
-  --config FILE     reads settings, flags win over it; `tune FILE` searches them
+  --config FILE     reads settings, flags win over it
   --n-steps 64      any argument of SB3's class is a flag, too
   --help all        all settings of a run; --help discovery: how --method NAME
                     finds subgoals; --help option: how options are learned;
@@ -75,14 +74,14 @@ def main(args: Sequence[str] | None = None) -> None:
         module, _, name = target.partition(":")
         run = getattr(importlib.import_module(f"sb3_options.runs.{module}"), name)
         done = run(settings, Console(highlight=False, soft_wrap=True))
+        sys.stdout.flush()
     except KeyboardInterrupt as interrupt:
         print(" ".join(["Interrupted", *map(str, interrupt.args)]), file=sys.stderr)
         sys.exit(130)
-    except BrokenPipeError:
-        raise  # `__main__` ends quietly
-    except ModuleNotFoundError as error:
-        _stop(error, f"{error}. {how_to_install('tune')}" if error.name in ("optuna", "joblib") else str(error), status)
-    except (ValueError, TypeError, OSError, MemoryError, NotImplementedError) as error:
+    except BrokenPipeError:  # as of `sb3-options options RUN | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more at its end
+        return
+    except (ValueError, TypeError, OSError, MemoryError, NotImplementedError, ModuleNotFoundError) as error:
         _stop(error, str(error), status)
     except Exception as error:
         from gymnasium.error import Error

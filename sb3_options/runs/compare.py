@@ -125,8 +125,6 @@ def show_comparison(config: CompareConfig, console: Console) -> None:
 def read_run(folder: Path) -> Run:
     """Read what a run logged, of this library, of SB3 or of rl-zoo3."""
     files = sorted({file.parent for file in folder.glob(EVENTS)})
-    if not files:
-        raise FileNotFoundError(f"{folder} has no TensorBoard file, which is where runs are read from.")
     curves: dict[str, dict[Measure, Curve]] = {source: {} for source in TAGS}
     logs = [EventAccumulator(str(each), size_guidance={"scalars": 0}).Reload() for each in files]
     for source, tags in TAGS.items():
@@ -136,7 +134,7 @@ def read_run(folder: Path) -> Run:
                 columns = np.array([(event.step, event.value) for event in events], dtype=np.float64)
                 curves[source][measure] = Curve(*columns[np.argsort(columns[:, 0], kind="stable")].T)
     if not any(curves.values()):
-        raise ValueError(f"{folder} logged no returns: it has neither an evaluation nor a training episode that ended.")
+        raise ValueError(f"{folder} has no TensorBoard file with an evaluation or a training episode that ended.")
     config = folder / CONFIG
     return Run(folder, yaml_file.read_mapping(config) if config.is_file() else {}, curves)
 

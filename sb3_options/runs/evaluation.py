@@ -46,7 +46,7 @@ class Evaluation(NamedTuple):
 
 
 def show_evaluation(config: EvaluateConfig, console: Console) -> None:
-    """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder if that is possible."""
+    """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder."""
     result = evaluate_run(**asdict(config))
     intervals = {"return": result.mean_return, "success rate": result.success_rate, "primitive steps": result.steps}
     title = f"{escape(str(config.run))}: {result.episodes} episodes"
@@ -56,11 +56,8 @@ def show_evaluation(config: EvaluateConfig, console: Console) -> None:
     console.print(table)
     found = {name.replace(" ", "_"): interval._asdict() for name, interval in intervals.items()}
     content = json.dumps({"episodes": result.episodes, "seed": config.seed, **found}, indent=2)
-    try:
-        with atomic_write(config.run / "evaluation.json") as temporary:
-            temporary.write_text(content + "\n", encoding="utf-8")
-    except OSError as error:  # as of a run that belongs to somebody else
-        console.print(escape(f"Not kept: {error}"))
+    with atomic_write(config.run / "evaluation.json") as temporary:
+        temporary.write_text(content + "\n", encoding="utf-8")
 
 
 def evaluate_run(run: Path, **settings: Any) -> Evaluation:

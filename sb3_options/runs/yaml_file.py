@@ -59,12 +59,11 @@ def parse(text: str) -> Any:
     depth = 0
     try:
         for event in yaml.parse(text, Loader):
-            for what in ("tag", "anchor"):
-                if (value := getattr(event, what, None)) is not None:
-                    raise ValueError(f"it has the {what} {value!r}; write plain values.")
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if depth > MAX_DEPTH:
-                raise ValueError(f"it is nested deeper than {MAX_DEPTH} levels.")
+            special = getattr(event, "tag", None) or getattr(event, "anchor", None)
+            if special or depth > MAX_DEPTH:
+                what = f"the tag or anchor {special!r}" if special else f"more than {MAX_DEPTH} levels"
+                raise ValueError(f"it has {what}; write plain values.")
         return yaml.load(text, Loader)
     except yaml.YAMLError as error:
         raise ValueError(" ".join(str(error).split())) from error

@@ -111,12 +111,6 @@ class TestEvaluationEnvironment:
             dqn(optioned_rooms(4)).learn(20, callback=callbacks)
 
 
-class TestArguments:
-    def test_the_class_in_place_of_an_object(self) -> None:
-        with pytest.raises(TypeError, match=r"got no settings. Pass an object, callback=NAME\(\), and not the class"):
-            dqn(optioned_rooms(2)).learn(10, callback=SubgoalDiscoveryCallback)
-
-
 def test_what_changes_observations_above_the_options_is_refused() -> None:
     class Halved(VecEnvWrapper):
         def reset(self) -> Any:

@@ -82,7 +82,7 @@ def test_values_out_of_range_are_refused(values: dict[str, Any], text: str) -> N
 
 
 def test_keyword_arguments_run_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="has the tag"):
+    with pytest.raises(ValueError, match="has the tag or anchor"):
         parse(["--env-kwargs", f"map:!!python/object/apply:os.mkdir ['{tmp_path / 'ran'}']"])
     assert not (tmp_path / "ran").exists()
 

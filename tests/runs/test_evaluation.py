@@ -9,11 +9,9 @@ from gymnasium.envs.registration import EnvSpec
 
 from sb3_options import cli
 from sb3_options.runs import config as configs
-from sb3_options.runs import evaluation
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import configure
-from sb3_options.runs.evaluation import Evaluation, evaluate_run
-from sb3_options.runs.intervals import Interval
+from sb3_options.runs.evaluation import evaluate_run
 from tests.support.helpers import CountingEnv
 from tests.support.runs import train
 
@@ -90,15 +88,3 @@ def test_a_run_without_options_lacks_none(tmp_path: Path, caplog: pytest.LogCapt
     )  # fmt: skip
     evaluate_run(train(config), episodes=1)
     assert "No slot holds an option" not in caplog.text
-
-
-def test_a_result_that_cannot_be_kept_is_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one = Interval(1.0, 0.5, 1.5)
-    monkeypatch.setattr(evaluation, "evaluate_run", lambda **asked: Evaluation(7, one, one, one))
-    (tmp_path / "file").touch()
-    cli.main(["evaluate", str(tmp_path / "file")])
-    printed = capsys.readouterr().out
-    assert "0.500 to 1.500" in printed
-    assert "Not kept: " in printed

@@ -88,7 +88,7 @@ def test_what_makes_no_sense_is_refused_in_one_line(args: list[str], expected: s
         (["evaluate", "a", "b"], "takes one RUN, got a b"),
         (["evaluate", "a", "--episode", "3"], "there is no setting 'episode'. Did you mean 'episodes'?"),
         (["evaluate", "a", "--episodes", "0"], "evaluate: episodes should be greater than or equal to 1, got 0"),
-        (["tune", "space.yml"], "tune: out is missing"),
+        (["options"], "options: file is missing"),
         (["demo", "maze"], "demo: task should be 'rooms', 'key' or 'minigrid', got 'maze'"),
         (["compare", "a", "--reach"], "--reach takes a value"),
         (["ppo", "--seed", "many"], "seed should be"),

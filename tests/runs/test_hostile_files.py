@@ -19,13 +19,13 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 )
 
 HOSTILE = {
-    "a tag that calls": ("seed: !!python/object/apply:os.mkdir ['{trace}']\n", "has the tag"),
-    "a tag that makes an object": ("seed: !!python/object:os.system {{}}\n", "has the tag"),
-    "a tag that names a module": ("env: !!python/module:evil_module\n", "has the tag"),
-    "an alias bomb": (BOMB.replace("{", "{{").replace("}", "}}"), "has the anchor 'a'"),
-    "a value within itself": ("env_kwargs: &a\n  a: *a\n", "has the anchor 'a'"),
-    "deep lists": ("net_arch: " + "[" * 20_000 + "\n", "is nested deeper than 20 levels"),
-    "deep mappings": ("env_kwargs: " + "{{a: " * 9_000 + "\n", "is nested deeper than 20 levels"),
+    "a tag that calls": ("seed: !!python/object/apply:os.mkdir ['{trace}']\n", "has the tag or anchor"),
+    "a tag that makes an object": ("seed: !!python/object:os.system {{}}\n", "has the tag or anchor"),
+    "a tag that names a module": ("env: !!python/module:evil_module\n", "has the tag or anchor"),
+    "an alias bomb": (BOMB.replace("{", "{{").replace("}", "}}"), "has the tag or anchor 'a'"),
+    "a value within itself": ("env_kwargs: &a\n  a: *a\n", "has the tag or anchor 'a'"),
+    "deep lists": ("net_arch: " + "[" * 20_000 + "\n", "has more than 20 levels"),
+    "deep mappings": ("env_kwargs: " + "{{a: " * 9_000 + "\n", "has more than 20 levels"),
     "a long file": ("# " + "x" * 200_000 + "\n", "has more than 100,000 characters"),
     "many settings": ("".join(f"a{i}: 1\n" for i in range(9_000)), "there is no setting 'a0'"),
     "one setting many times": ("a: 1\n" * 15_000, "it has 'a' twice; give it once."),
