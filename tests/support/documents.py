@@ -10,7 +10,7 @@ README = ROOT / "README.md"
 PAGES = (README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md")))
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-SHORTER = re.compile(r"(learn\()[\d_]+(.*)  # tested with ([\d_]+)$", re.MULTILINE)
+SHORTER = re.compile(r"(learn\(|n_timesteps=|n_trials=)[\d_]+(.*)  # tested with ([\d_]+)$", re.MULTILINE)
 """A line that trains for long, and says for how many steps tests do."""
 
 
