@@ -99,19 +99,13 @@ def _tells(callback: Any) -> bool:
 
 def _names(callback: BaseCallback) -> tuple[str, ...]:
     """Attributes that SB3 counts in, and those of a callback of SB3."""
-    names = next((names for cls, names in KNOWN.items() if isinstance(callback, cls)), None)
-    stock = type(callback).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib")
-    if names is not None and (type(callback) in KNOWN or (stock and names)):
+    names = next((names for cls, names in KNOWN.items() if isinstance(callback, cls)), ())
+    stock = type(callback).__module__.startswith(("stable_baselines3", "sb3_contrib"))
+    known = stock and isinstance(callback, tuple(KNOWN))
+    own = set(vars(callback)) - set(vars(sb3.ConvertCallback(None))) - {"model", "training_env"}
+    if known or _tells(callback) or getattr(callback, "remembers_nothing", False) or not own:
         return COUNTERS + names
-    own = set(vars(callback)) - set(vars(_Nothing())) - {"model", "locals", "globals", "training_env", "logger"}
-    if _tells(callback) or getattr(callback, "remembers_nothing", False) or not own:
-        return COUNTERS + (names or ())
     raise ValueError(
         f"Checkpoints of {type(callback).__name__} are not supported yet: give the callback get_state() and "
         "set_state(state), or the attribute remembers_nothing = True if it remembers nothing from step to step."
     )
-
-
-class _Nothing(BaseCallback):
-    def _on_step(self) -> bool:
-        return True

@@ -60,7 +60,7 @@ class OptionInstaller:
         self.family = family_of(model)
         self.buffer = self.family.replay_buffer
         self.opening_share = max_option_exploration
-        self._pending: dict[int, Option] = {}
+        self._pending: list[int] = []  # slots whose option waits for the next rollout
         self._new: list[int] = []
         self._closing: set[int] = set()
         put_back(model, venv)
@@ -85,7 +85,7 @@ class OptionInstaller:
             if opens:
                 heads.close_head(model.policy, self.n_primitive + slot)  # random weights; it is opened below
             self._install_now(slot, option, present=True)
-        keep_options(model, self.bank)
+        self._changed()
 
     def features_of(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, (batch, d); φ may exist in a worker process only."""
@@ -98,37 +98,37 @@ class OptionInstaller:
         """Let the feature map of every environment be the one that is learned here."""
         assert self.learned_map is not None  # `LearnedFeatures.begin` has set it
         self._set_slots(learned_map=self.learned_map.arrays())
-        keep_options(self.model, self.bank)
+        self._changed()
 
     def install(self, slot: int, option: Option) -> None:
         """Install an option in an empty slot, at once or when the next rollout starts."""
         if self.family.waits_for_rollout:
             self.bank.add(option, slot)
-            self._pending[slot] = option
+            self._pending.append(slot)
         else:
             self._install_now(slot, option)
-        keep_options(self.model, self.bank)
+        self._changed()
 
     def replace(self, slot: int, option: Option) -> None:
         """Put a later version of an option into the slot it is in."""
         before = self.bank[slot]
         if slot in self._pending:
             self.bank.add(option, slot)
-            self._pending[slot] = option
         else:
             self._send(slot, option)
             if slot not in self._new and _initiation(before) is not _initiation(option):
                 self._new.append(slot)  # its availability has to be computed anew
-        keep_options(self.model, self.bank)
+        self._changed()
 
     def uninstall(self, slot: int) -> None:
         """Remove an option as soon as nothing that is still to be learned from can name it.
 
         A replay buffer must have stored the current step, a rollout buffer must have been emptied.
         """
-        if self._pending.pop(slot, None) is not None:
+        if slot in self._pending:
+            self._pending.remove(slot)
             self.bank.remove(slot)  # it never was in an environment
-            keep_options(self.model, self.bank)
+            self._changed()
         else:
             self._closing.add(slot)
 
@@ -139,7 +139,9 @@ class OptionInstaller:
     def on_rollout_start(self) -> None:
         """Install pending options and remove closed ones."""
         self._uninstall_closed()
-        for slot, option in self._pending.items():
+        for slot in self._pending:
+            option = self.bank[slot]
+            assert option is not None  # `install` has put it there
             self._install_now(slot, option)
         self._pending.clear()
 
@@ -177,12 +179,12 @@ class OptionInstaller:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave: its options are in the slots of all environments then."""
-        pending = set(state["pending"])
         if len(state["slots"]) != self.bank.max_options:
             raise ValueError(
                 f"The checkpoint is of an environment with {len(state['slots'])} slots for options, and this one has "
                 f"{self.bank.max_options}: pass max_options={len(state['slots'])} to OptionsWrapper."
             )
+        self._pending, self._new, self._closing = state["pending"], state["new"], set(state["closing"])
         for slot, (there, here) in enumerate(zip(state["slots"], self.bank.slots, strict=True)):
             if isinstance(there, str):
                 if here is None or here.name != there:
@@ -194,17 +196,13 @@ class OptionInstaller:
             if here is not None:
                 self.bank.remove(slot)
                 self._set_slots(options={slot: None})
-            if there is not None and slot in pending:
+            if there is not None and slot in self._pending:
                 self.bank.add(there, slot)
             elif there is not None:
                 self._send(slot, there)
-        if self.explored is not None:
-            self.explored.filled = tuple(slot for slot in self.bank.filled if slot not in pending)
-        self._pending = {slot: self.bank[slot] for slot in state["pending"]}  # type: ignore[misc]  # filled above
-        self._new, self._closing = state["new"], set(state["closing"])
         if self.interrupter is not None:
             self.interrupter.set_state(state["interrupter"])
-        keep_options(self.model, self.bank)
+        self._changed()
 
     def _install_now(self, slot: int, option: Option, *, present: bool = False) -> None:
         self._send(slot, option, present=present)
@@ -230,25 +228,27 @@ class OptionInstaller:
         for slot in self._closing:
             self.bank.remove(slot)
             self._set_slots(options={slot: None})
-            if self.explored is not None:
-                self.explored.filled = self.bank.filled
             forget_slot(self.model, slot, self.n_primitive)
             if slot in self._new:
                 self._new.remove(slot)
         if self._closing:
-            keep_options(self.model, self.bank)
-        self._closing.clear()
+            self._closing.clear()
+            self._changed()
 
     def _send(self, slot: int, option: Option, *, present: bool = False) -> None:
         """Put an option into all environments; ``present`` says that those of the training have one of that name."""
         self.bank.add(option, slot)
-        if self.explored is not None:
-            self.explored.filled = self.bank.filled
         if isinstance(option, SubgoalOption):
             # φ stays behind: functions may not travel between processes.
             self._set_slots(options={slot: option.bind(None)})
         else:  # it may be made for its environment
             self._set_slots(training=not present, options={slot: option})
+
+    def _changed(self) -> None:
+        """Let the model carry the options as they are now, and explore those that the environments have."""
+        keep_options(self.model, self.bank)
+        if self.explored is not None:
+            self.explored.filled = tuple(slot for slot in self.bank.filled if slot not in self._pending)
 
     def _set_slots(self, *, training: bool = True, **changes: Any) -> None:
         """Change the `SlotState` of the environments for evaluation, and of those for ``training``."""

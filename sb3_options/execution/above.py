@@ -8,7 +8,7 @@ from two environments at once.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, TypeAlias
+from typing import Any
 
 import gymnasium as gym
 from gymnasium import wrappers
@@ -65,12 +65,8 @@ def count_primitive_steps(outermost: gym.Env[Any, Any], options: gym.Env[Any, An
             env.__class__ = PrimitiveMonitor
 
 
-Above: TypeAlias = str
-"""Name of the class of a wrapper whose ``step`` may return something else than `OptionsWrapper` returned."""
-
-
-def described(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> tuple[Above, ...]:
-    """The wrappers above the options that may change steps, the outermost first.
+def names_of_changing(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> tuple[str, ...]:
+    """Classes of the wrappers above the options that may change steps, the outermost first.
 
     A class with a ``step`` of its own may, unless it is among `UNCHANGED` or has ``returns_steps_unchanged = True``.
     """
@@ -82,8 +78,8 @@ def described(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> tuple
     )
 
 
-def changing_steps(venv: VecEnv) -> set[Above]:
-    """The wrappers above `OptionsWrapper`, which all environments are in, that may change steps."""
+def changing_steps(venv: VecEnv) -> set[str]:
+    """Classes of the wrappers above `OptionsWrapper`, which all environments are in, that may change steps."""
     venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # asked of the outermost wrapper first
     return {name for names in venv.get_attr("above") for name in names}
 

@@ -35,7 +35,7 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
         self._note(None, UNKNOWN)
         seed = env.unwrapped._np_random_seed
         if just_reset and isinstance(seed, int) and seed >= 0:  # if it was reset again since, that will be seen
-            self._note({"seed": seed, "options": None}, None)
+            self._note({"seed": seed}, None)
 
     def _note(self, began: State | None, why: str | None) -> None:
         """Begin to note an episode."""
@@ -58,13 +58,13 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset, and begin to note."""
-        if not _is_plain(options):
-            self._note(None, "the options of its reset cannot be stored")
+        if options:
+            self._note(None, "its reset was given options")
         elif seed is None:
             _ = self.env.unwrapped.np_random  # one that is made in reset would draw its seed from the system
-            self._note({"before": random_states(self.env.unwrapped)["np_random"], "options": options}, None)
+            self._note({"before": random_states(self.env.unwrapped)["np_random"]}, None)
         else:
-            self._note({"seed": int(seed), "options": options}, None)
+            self._note({"seed": int(seed)}, None)
         result = self.env.reset(seed=seed, options=options)
         self._last = result[:1]
         return result
@@ -79,16 +79,13 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
 
     def get_state(self) -> State:
         """For a checkpoint: the actions and seeds that repeat the episode, and its last observation."""
-        why, actions = self._why, self._actions
-        if len(actions) > MAX_ACTIONS:
-            why = f"it has more than {MAX_ACTIONS:,} actions"
-        elif not all(type(each) is type(actions[0]) and _is_plain(each) for each in actions):
-            why = "its actions cannot be stored"
+        too_long = f"it has more than {MAX_ACTIONS:,} actions" if len(self._actions) > MAX_ACTIONS else None
+        why = self._why or too_long
         return {
             "why": why,
-            "began": None if why else self._began,
-            "actions": None if why else np.array(actions),
-            "numbers": bool(actions) and type(actions[0]) is int,
+            "began": self._began,
+            "actions": None if why else np.array(self._actions),
+            "numbers": bool(self._actions) and type(self._actions[0]) is int,
             "then": self._there(),
             "random": random_states(self.env.unwrapped),
         }
@@ -136,17 +133,6 @@ def set_random_states(env: Any, states: State) -> None:
     for name, state in states.items():
         if state is not None:
             (env if name == "np_random" else getattr(env, name)).np_random.bit_generator.state = state
-
-
-def _is_plain(value: Any) -> bool:
-    """Whether a checkpoint can hold it."""
-    if isinstance(value, dict):
-        return all(type(key) is str and _is_plain(each) for key, each in value.items())
-    if isinstance(value, list):
-        return all(map(_is_plain, value))
-    if isinstance(value, np.ndarray | np.generic):
-        return value.dtype.kind in "biuf"
-    return value is None or type(value) in (bool, int, float, str)
 
 
 def _add(sha256: Any, value: Any) -> None:

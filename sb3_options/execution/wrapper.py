@@ -18,7 +18,7 @@ from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution import layers
-from sb3_options.execution.above import Above, count_primitive_steps, described
+from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, primitive_of, run_option
 from sb3_options.execution.recording import RecordTrajectories
@@ -162,9 +162,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         )
 
     @property
-    def above(self) -> tuple[Above, ...]:
-        """The wrappers above this one, the outermost first, once `wrappers_above` was asked for them."""
-        return described(self.outermost, self)
+    def above(self) -> tuple[str, ...]:
+        """Classes of the wrappers above this one that may change steps; `above.changing_steps` asks for them."""
+        return names_of_changing(self.outermost, self)
 
     def set_slots(self, **changes: Any) -> None:
         """Replace fields of this environment's `SlotState`; ``options`` are added to those that it names."""
