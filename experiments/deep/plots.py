@@ -10,20 +10,22 @@ from matplotlib.figure import Figure
 
 from experiments.common.curves import draw_band
 from experiments.common.seeds import Result
-from experiments.deep.summary import GRID, curve, curve_at, steps_to_success
-from sb3_options.runs.intervals import band, iqm_interval
+from experiments.deep.summary import GRID, curve, curve_at
+from sb3_options.runs.intervals import band
 
 COLOURS = {
+    "options": "#d62728",
+    "options-n-step": "#8c1515",
+    "options-bonus": "#ff7f0e",
     "stock": "0.45",
     "carried": "#2ca02c",
     "n-step": "black",
     "count-bonus": "#9467bd",
     "rnd": "#17becf",
-    "options": "#d62728",
-    "options-n-step": "#8c1515",
-    "options-bonus": "#ff7f0e",
     "repeats": "#1f77b4",
 }
+"""In the order of the legend."""
+
 LABELS = {
     "stock": "stock",
     "carried": "stock, network carried over",
@@ -35,7 +37,6 @@ LABELS = {
     "options-bonus": "options, count bonus",
     "repeats": "random repeats",
 }
-APART = 0.025
 N_SECONDS = 200
 MOST_INSIDE = 3
 """A legend of more arms stands below the panels."""
@@ -54,10 +55,6 @@ def draw(task: str, runs: dict[tuple[str, str], dict[str, Sequence[Result]]], le
         at = np.arange(0, lengths[env] + 1, GRID)
         curves = band(np.array([curve(r, lengths[env]) for r in results]))
         draw_band(axes, at, curves, COLOURS[arm], f"{LABELS[arm]} ({len(results)} runs)")
-        reached = iqm_interval(np.array([steps_to_success(r, lengths[env]) for r in results]))
-        height = 0.9 + APART * list(COLOURS).index(arm)  # side by side where they overlap
-        axes.plot(reached.mean, height, "o", color=COLOURS[arm], markersize=5)
-        axes.hlines(height, reached.low, reached.high, color=COLOURS[arm], linewidth=2)
 
     return _panels(task, runs, "primitive steps", arm_in)
 
@@ -95,11 +92,12 @@ def _panels(
     panels = figure.subplots(len(algorithms), len(environments), squeeze=False, sharey=True)
     for row, algo in zip(panels, algorithms, strict=True):
         for axes, env in zip(row, environments, strict=True):
-            for arm, results in runs.get((env, algo), {}).items():
-                if results:
-                    arm_in(axes, env, arm, results)
+            of_panel = runs.get((env, algo), {})
+            for arm in COLOURS:
+                if of_panel.get(arm):
+                    arm_in(axes, env, arm, of_panel[arm])
             axes.set_title(f"{algo.upper()}, {env}, {task}")
-            axes.set_ylim(-0.03, 0.93 + APART * len(COLOURS))
+            axes.set_ylim(-0.03, 1.03)
             axes.grid(alpha=0.25)
     for axes in panels[-1]:
         axes.set_xlabel(over)
