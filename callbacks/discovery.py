@@ -130,7 +130,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             venv,
             self.locals.get("callback"),
             max_option_exploration=use.max_option_exploration,
-            interruption=use.interruption,
         )
         keeper.features = features_for(keeper.features, self._installer, self.embedding, self.seed)
         if keeper.features is not None:

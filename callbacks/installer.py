@@ -20,10 +20,8 @@ from sb3_options.learning import heads
 from sb3_options.learning.families import Masked, Networks, family_of, forget_empty, forget_slot
 from sb3_options.learning.masked import stored_availability
 from sb3_options.learning.saved_model import keep_options, put_back
-from sb3_options.learning.value_snapshot import Interrupter
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
-from sb3_options.state import state_of
 
 MIN_ODDS = 1e-3  # odds that any option opens with: a head of probability 0 would never be learned
 
@@ -48,7 +46,6 @@ class OptionInstaller:
         callbacks: BaseCallback | None,
         *,
         max_option_exploration: float = 1.0,
-        interruption: bool = False,
         open_untrained: bool = True,
     ) -> None:
         self.model, self.venv = model, venv
@@ -71,11 +68,6 @@ class OptionInstaller:
             present.n_primitive, present.max_options, feature_map=self.features_of, signature=present.signature
         )
         self.explored = cap_option_exploration(model, self.n_primitive, max_option_exploration)
-        self.interrupter: Interrupter | None = None
-        if interruption and self.family.has_values:
-            self.interrupter = Interrupter(model, venv, self.eval_envs)
-        else:
-            self._set_slots(interruption=None)  # an earlier training may have left its own
         opens = open_untrained and isinstance(self.family, Networks) and self.family.is_untrained(self.n_primitive)
         self._set_slots(expect_empty=True)
         for slot, option in enumerate(present.slots):
@@ -146,7 +138,7 @@ class OptionInstaller:
         self._pending.clear()
 
     def on_rollout_end(self) -> None:
-        """Bring the replay buffer and the environments' values up to date."""
+        """Bring the replay buffer up to date."""
         if not self.family.has_rollouts:
             self._uninstall_closed()
         # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
@@ -154,16 +146,12 @@ class OptionInstaller:
             available = stored_availability(self.buffer, self.venv)
             for slot in self._new:
                 self.buffer.set_next_available(slot, available[:, self.n_primitive + slot])
-        if self.interrupter is not None and len(self.bank):
-            self.interrupter.refresh(at_once=bool(self._new))
         self._new.clear()
 
     def on_training_end(self) -> None:
-        """Leave no option pending, and the environments with the values that were learned."""
+        """Leave no option pending."""
         self.on_rollout_start()
         self.on_rollout_end()
-        if self.interrupter is not None and len(self.bank):
-            self.interrupter.refresh(at_once=True)
 
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint. Of a hand-made option, which is code, it holds the name."""
@@ -174,7 +162,6 @@ class OptionInstaller:
             "pending": list(self._pending),
             "new": list(self._new),
             "closing": sorted(self._closing),
-            "interrupter": None if self.interrupter is None else state_of(self.interrupter),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -200,8 +187,6 @@ class OptionInstaller:
                 self.bank.add(there, slot)
             elif there is not None:
                 self._send(slot, there)
-        if self.interrupter is not None:
-            self.interrupter.set_state(state["interrupter"])
         self._changed()
 
     def _install_now(self, slot: int, option: Option, *, present: bool = False) -> None:

@@ -67,7 +67,7 @@ class PrimitiveStepsCallback(BaseCallback):
     the same, so that it is not needed beside it.
 
     What is learned from is made to fit the options that the environments hold when training starts (`OptionInstaller`).
-    Options of the environment of an ``EvalCallback`` are left to the user. No option is interrupted.
+    Options of the environment of an ``EvalCallback`` are left to the user.
 
     ``train_freq``, ``target_update_interval`` and ``eval_freq`` of an ``EvalCallback`` still count decisions, and so
     does ``n_steps``, unless ``primitive_rollouts`` says otherwise. A rollout may be many more primitive steps. Hence
@@ -106,9 +106,6 @@ class PrimitiveStepsCallback(BaseCallback):
             monitor_primitive_steps(venv)
         if self._installs:
             self._installer = OptionInstaller(self.model, self.training_env, None, open_untrained=False)
-            for venv in evaluation_envs(self.locals.get("callback")):
-                if all(venv.env_is_wrapped(OptionsWrapper)):
-                    venv.env_method("set_slots", interruption=None)
 
     def _start_counting(self) -> None:
         watch_workers(self.training_env)

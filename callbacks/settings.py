@@ -20,13 +20,10 @@ class OptionUse:
             MaskablePPO it is the share of the probability that the first option opens with where primitives are equally
             likely. The odds of the k-th against the primitives are 1/k of those; so it is no cap on all options
             together: three at 0.5 open with 0.65.
-        interruption: Whether options of DQN, QRDQN and OptionDQN end where going on is worth less than the best
-            alternative (`execution.interruption`).
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
     """
 
     max_option_exploration: Annotated[float, Field(ge=0, le=1)] = 0.5
-    interruption: bool = True
     primitive_rollouts: bool = False
 
 

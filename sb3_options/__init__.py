@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from sb3_options.learning.replay_buffer import OptionReplayBuffer
     from sb3_options.learning.rollout_buffer import OptionDictRolloutBuffer, OptionRolloutBuffer
     from sb3_options.learning.saved_model import load_model, load_options
-    from sb3_options.learning.value_snapshot import interrupt_options
     from sb3_options.options.bank import OptionBank
     from sb3_options.options.option import Option
 
@@ -33,7 +32,6 @@ __all__ = [
     "WithoutConcepts",
     "__version__",
     "expand_action_space",
-    "interrupt_options",
     "load_model",
     "load_options",
 ]
@@ -51,7 +49,6 @@ _MODULES = {
     "OptionRolloutBuffer": "sb3_options.learning.rollout_buffer",
     "load_model": "sb3_options.learning.saved_model",
     "load_options": "sb3_options.learning.saved_model",
-    "interrupt_options": "sb3_options.learning.value_snapshot",
     "OptionBank": "sb3_options.options.bank",
     "Option": "sb3_options.options.option",
 }

@@ -91,7 +91,7 @@ def train(
             settings.discovery,
             settings.option,
             max_new_options=settings.max_new_options if options is None else 0,
-            use={"max_option_exploration": settings.max_option_exploration[family(algo)], **settings.callback},
+            use={"max_option_exploration": settings.max_option_exploration[family(algo)]},
             seed=seed,
         )
         callbacks = [discovery, *callbacks, Served(eval_env)]

@@ -71,7 +71,6 @@ class DeepSettings:
         max_new_options: Most options to discover.
         discovery: Other than the defaults of `DiscoverySettings`.
         option: Other than the defaults of `OptionLearningSettings`.
-        callback: Switches of `OptionUse`: ``interruption``.
         n_steps: Decisions of the n-step returns, stock and with options.
         brought_exploration: Share of training over which DQN's ε falls where options are brought along, which explore
             themselves; None takes the algorithm's own.
@@ -92,7 +91,6 @@ class DeepSettings:
     max_new_options: int = 2
     discovery: dict[str, Any] = field(default_factory=lambda: {"decay": 0.75, "min_positive": 5, "search_growth": 0.0})
     option: dict[str, Any] = field(default_factory=lambda: {"grow": True})
-    callback: dict[str, Any] = field(default_factory=lambda: {"interruption": True})
     n_steps: int = 10
     brought_exploration: float | None = None
     bonus_weight: float = 0.1
@@ -140,9 +138,6 @@ class DeepSettings:
             for name, value in getattr(self, group).items():
                 if value != getattr(DeepSettings(), group)[name]:
                     flags.append(f"--settings.{group.replace('_', '-')}.{name} {value}")
-        for name, value in self.callback.items():
-            if value != DeepSettings().callback.get(name):
-                flags.append(f"--settings.callback.{'' if value else 'no-'}{name.replace('_', '-')}")
         return flags
 
 

@@ -166,5 +166,4 @@ def run(task: str, condition: str, n_timesteps: int | None, seed: int) -> Result
         "steps_outside": use.outside,
         "mean_duration": use.steps / n_runs if n_runs else None,
         "reached_subgoal": use.endings["subgoal"] / n_runs if n_runs else None,
-        "interrupted": use.endings["interrupted"] / n_runs if n_runs else None,
     }

@@ -101,7 +101,7 @@ def _with_options(film: Study, options: Path) -> BaseAlgorithm:
         discovery = SubgoalDiscoveryCallback(
             **DISCOVERY,
             max_new_options=0 if options.exists() else None,
-            use={"opening_share": 0.5, "primitive_rollouts": True},
+            use={"primitive_rollouts": True},
         )
         model.learn(frames, callback=discovery)
         discovery.bank.save(options)

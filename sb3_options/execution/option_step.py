@@ -22,19 +22,17 @@ def run_option(
     step: Callable[[int], StepReturn],
     *,
     inside: bool,
-    interrupted: Callable[[Any], bool] | None,
     available: Callable[[Observations], BoolArray] | None,
     n_primitive: int,
     gamma: float,
     random: np.random.Generator,
     legal: Callable[[], BoolArray | None],
 ) -> tuple[StepReturn, OptionRun]:
-    """Run an option until the episode, β, I, its longest duration or an interruption ends it, asked in this order.
+    """Run an option until the episode, β, I, or its longest duration ends it, asked in this order.
 
     It also ends, as if it had left I, where the environment masks the primitive action that it would take next:
-    ``legal`` says which may be taken now. Outside I it runs for one step. ``interrupted`` says of each observation
-    whether to end there (`Interruption.watch`), ``available`` which slots may start in the k observations arrived in,
-    for the record.
+    ``legal`` says which may be taken now. Outside I it runs for one step. ``available`` says which slots may start in
+    the k observations arrived in, for the record.
 
     Returns what the last step returned, with Σ γⁱ rᵢ in the place of its reward, and the record of the run.
     """
@@ -57,8 +55,6 @@ def run_option(
             termination = "truncated"
         else:
             termination = _why_ended(option, observation, len(actions), random, inside=inside)
-            if termination is None and interrupted is not None and interrupted(observation):
-                termination = "interrupted"
         if termination is None:
             action = primitive_of(option, observations[-1], n_primitive)
             mask = legal()

@@ -11,7 +11,6 @@ from gymnasium import spaces
 
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.execution.features import FeatureKind
-from sb3_options.execution.interruption import Interruption
 from sb3_options.options.option import Option
 
 
@@ -23,7 +22,6 @@ class SlotState:
         options: By slot, what was put into it: an option, or None for an empty slot. Slots that are not named hold
             what the environment was made with. `OptionsWrapper.set_slots` adds to this field.
         learned_map: What the learned feature map is (`LearnedMap.arrays`).
-        interruption: By which values options are interrupted; None lets every option run to its end.
         record: Whether infos hold the primitive steps: the info that ends an episode as ``info["trajectory"]``.
         max_segment: Primitive steps of the longest segment, where ``record`` cuts at peaks of reward: then
             ``info["segments"]`` lists the segments that ended in the step. None records whole episodes.
@@ -35,7 +33,6 @@ class SlotState:
 
     options: Mapping[int, Option | None] = field(default_factory=dict)
     learned_map: Mapping[str, npt.NDArray[Any]] | None = None
-    interruption: Interruption | None = None
     record: bool = False
     max_segment: int | None = None
     report_availability: bool = False

@@ -327,9 +327,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def _run_option(self, option: Option, slot: int, observation: Any) -> StepReturn:
         inside = bool(option.initiation(batch_of_one(observation))[0])
         self._runs[slot] += inside
-        interrupted = None
-        if inside and self.slot_state.interruption is not None:
-            interrupted = self.slot_state.interruption.watch(self.n_primitive + slot, observation, self.action_masks)
         self._running = slot
         result, run = run_option(
             option,
@@ -337,7 +334,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             observation,
             self._primitive_step,
             inside=inside,
-            interrupted=interrupted,
             available=self._available_slots if self.slot_state.report_availability else None,
             n_primitive=self.n_primitive,
             gamma=self.gamma,

@@ -10,9 +10,7 @@ import numpy as np
 
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
 
-Termination: TypeAlias = Literal[
-    "primitive", "subgoal", "left_initiation", "max_duration", "interrupted", "terminated", "truncated"
-]
+Termination: TypeAlias = Literal["primitive", "subgoal", "left_initiation", "max_duration", "terminated", "truncated"]
 
 
 class OptionRun(NamedTuple):

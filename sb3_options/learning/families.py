@@ -52,11 +52,6 @@ class Family:
         return self.has_rollouts and not self.masks
 
     @property
-    def has_values(self) -> bool:
-        """Whether networks give the values of options, by which they can be interrupted."""
-        return False
-
-    @property
     def replay_buffer(self) -> OptionReplayBuffer | None:
         """The replay buffer, if it is one over options."""
         return None
@@ -165,11 +160,6 @@ class ValueBased(Networks):
     def __init__(self, model: Any) -> None:
         super().__init__(model)
         self.masks = isinstance(model, MaskedPrediction)
-
-    @property
-    def has_values(self) -> bool:
-        """Not those of an actor and a critic."""
-        return heads.has_networks(self.model.policy)
 
     @property
     def replay_buffer(self) -> OptionReplayBuffer | None:

@@ -22,13 +22,12 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options.atomic import atomic_write
 from sb3_options.experience.success import success_rule
 from sb3_options.learning.saved_model import check_finite
-from sb3_options.learning.value_snapshot import interrupt_options
 from sb3_options.options.bank import OptionBank
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
 from sb3_options.runs.commands import EvaluateConfig
-from sb3_options.runs.config import OFF_POLICY, TrainConfig
+from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.intervals import Interval, mean_interval, share_interval
 from sb3_options.runs.video import RecordFrames, render_mode_of, video_file
 
@@ -61,7 +60,7 @@ def show_evaluation(config: EvaluateConfig, console: Console) -> None:
 
 
 def evaluate_run(run: Path, **settings: Any) -> Evaluation:
-    """Load a run folder and act greedily in its environment, with options interrupted as in training.
+    """Load a run folder and act greedily in its environment.
 
     Weights and options are read as arrays only; nothing in the folder can run code.
     """
@@ -109,8 +108,6 @@ def _play(saved: Path, config: TrainConfig, venv: VecEnv, asked: EvaluateConfig)
     bank.load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
     if not bank.filled:
         venv.env_method("set_slots", expect_empty=True)  # the model has no others, so nothing is missing
-    if config.algo in OFF_POLICY:
-        interrupt_options(model, venv)
     venv.env_method("set_slots", record=True)
     found: list[tuple[float, bool, float]] = []
     succeeded = success_rule(config.success)

@@ -193,15 +193,3 @@ def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Pa
         lambda: model_of("A2C", venv_of()), lambda: [discovering(method=make(**soon[make]))], tmp_path, cuts=(0.2, 0.7)
     )
     assert callbacks[0].discoveries  # type: ignore[attr-defined]  # of discovery
-
-
-@pytest.mark.usefixtures("keep_all")
-def test_options_that_are_interrupted(tmp_path: Path) -> None:
-    """The values in the environments are older than the model's."""
-    callbacks, _ = check_resumes(
-        lambda: model_of("OptionDQN", venv_of()),
-        lambda: [discovering(use={"interruption": True})],
-        tmp_path,
-        cuts=(0.9,),
-    )
-    assert callbacks[0]._installer.interrupter._refreshed  # type: ignore[attr-defined]  # of discovery

@@ -109,7 +109,7 @@ def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.Monke
     env.bank.add(to_the_doorway(right, (3, 2)))
     env.bank.add(to_the_doorway(left, (0, 2)))
     still = {"grow": False}
-    callback = SubgoalDiscoveryCallback(option_settings=still, max_new_options=0, use={"interruption": False})
+    callback = SubgoalDiscoveryCallback(option_settings=still, max_new_options=0)
     model_of(env, seed=0).learn(6000, callback=callback)
     assert [(closed.slot, closed.why) for closed in callback.closed] == [(1, "goes in circles")]
     assert callback.bank.filled == env.bank.filled == (0,)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from sb3_contrib import QRDQN
 from stable_baselines3 import DQN, PPO
-from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback, EvalCallback
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
@@ -126,27 +126,6 @@ def test_a_loaded_model_whose_options_are_put_back_has_forgotten_nothing(callbac
     assert rows_of(again) == rows_of(model) > 0
     for mine, other in zip(heads.option_outputs(again.policy), heads.option_outputs(model.policy), strict=True):
         assert torch.equal(mine[0].weight, other[0].weight)
-
-
-class TestInterruption:
-    def test_is_by_the_values_of_no_earlier_training(self) -> None:
-        env, evaluated = with_option(), with_option()
-        evaluation = EvalCallback(evaluated, eval_freq=10_000)
-        model_of(env).learn(200, callback=[finds_nothing(), evaluation])
-        for each in (env, evaluated):
-            assert each.slot_state.interruption is not None
-        other = PPO("MlpPolicy", env, gamma=DISCOUNT, n_steps=64, batch_size=64, n_epochs=1)
-        other.learn(64, callback=[PrimitiveStepsCallback(), evaluation])
-        for each in (env, evaluated):
-            assert each.slot_state.interruption is None
-
-    @pytest.mark.parametrize("order", [1, -1])
-    def test_goes_on_where_both_callbacks_are(self, order: int) -> None:
-        env = with_option()
-        model = model_of(env)
-        discovery = finds_nothing()
-        model.learn(300, callback=[PrimitiveStepsCallback(), discovery][::order])
-        assert env.slot_state.interruption is not None
 
 
 class TestCheckpoints:

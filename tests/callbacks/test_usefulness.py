@@ -144,7 +144,6 @@ def test_only_failures_and_runs_that_nobody_cut_off_count() -> None:
     useful, options = judging(), installed(option(FINE))
     for _ in range(WINDOW):
         add(useful, "truncated", FINE, success=False)
-        add(useful, "interrupted", FINE)
         add(useful, "terminated", FINE, success=True)
     assert not list(useful.judged(options))
     for _ in range(MIN_RUNS):

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import imageio.v2 as imageio
+import numpy as np
 import pytest
 from sb3_contrib import MaskablePPO
 
@@ -38,5 +39,6 @@ def test_the_film_names_what_runs(tmp_path: Path) -> None:
     film.main(film.Study(out=tmp_path / "film.gif", frames=(2_048, 2_048), episodes=1))
     pictures = imageio.mimread(tmp_path / "film.gif")
     assert len(pictures) >= 2
-    height, width = pictures[0].shape[:2]
-    assert height > width  # the strip with the name
+    left, right = np.split(pictures[0][:, : pictures[0].shape[1] // 2 * 2], 2, axis=1)
+    assert left[-20:].min() < 128 < left[-20:].mean()  # the name of what runs, on white
+    assert right.std() > 0
