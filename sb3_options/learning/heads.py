@@ -132,7 +132,7 @@ def is_closed(policy: Any, action: int) -> bool:
     """Whether ``action`` is closed, also after weight decay (AdamW's) has raised its bias a little."""
     layer, outputs = option_outputs(policy)[0]
     rows = rows_of(layer, outputs, action)
-    return not layer.weight[rows].any() and bool((layer.bias[rows] <= CLOSED_VALUE / 1000).all())
+    return bool((layer.bias[rows] <= CLOSED_VALUE / 1000).all())
 
 
 @torch.no_grad()
