@@ -6,17 +6,14 @@ Everything is in scaled features, whose unit is the width of a concept of scale 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from sb3_options.checked import is_number
+from sb3_options.checked import Field, settings
 from sb3_options.density.arrays import FloatArray
-from sb3_options.state import storable
 
 SCALE_BOUNDS = (0.1, 10.0)
 """Default smallest and largest learned scale, as factors of the scale given.
@@ -26,8 +23,7 @@ without an upper bound it may shrink onto one instance.
 """
 
 
-@storable
-@dataclass(frozen=True)
+@settings
 class Point:
     """A class of concepts: a point t with scales s, z = Σ_k (s_k (x_k − t_k))² (Maron & Lozano-Pérez 1998).
 
@@ -47,19 +43,13 @@ class Point:
     """
 
     scales: Literal["each", "one", "fixed"] = "each"
-    scale_bounds: tuple[float, float] = SCALE_BOUNDS
-    prior_width: float | None = 1.0
+    scale_bounds: tuple[Annotated[float, Field(ge=0)], float] = SCALE_BOUNDS
+    prior_width: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse arguments out of range."""
-        if not (isinstance(self.scales, str) and self.scales in ("each", "one", "fixed")):
-            raise ValueError(f'scales must be "each", "one" or "fixed", got {self.scales!r}')
-        bounds = self.scale_bounds
-        pair = isinstance(bounds, Sequence) and len(bounds) == 2 and all(map(is_number, bounds))
-        if not (pair and 0 <= bounds[0] < bounds[1]):
+        """Refuse bounds that hold nothing."""
+        if not self.scale_bounds[0] < self.scale_bounds[1]:
             raise ValueError(f"scale_bounds must be factors 0 <= low < high, got {self.scale_bounds}")
-        if self.prior_width is not None and not (is_number(self.prior_width) and 0 < self.prior_width < math.inf):
-            raise ValueError(f"prior_width must be positive and finite, or None, got {self.prior_width}")
 
     def coefficients(self, theta: Tensor) -> Tensor:
         """‖a‖², −2 s a and s², the factors of 1, x_k and x_k²: (2 d + 1, S)."""
@@ -136,8 +126,7 @@ class Point:
         return theta[:m], theta[m:]
 
 
-@storable
-@dataclass(frozen=True)
+@settings
 class HalfSpace:
     """Half-spaces, p = 1 / (1 + exp(b − v·x)): "linearly discriminable surfaces" (McGovern & Barto 2001, §8).
 
@@ -152,14 +141,8 @@ class HalfSpace:
         ValueError: An argument is not positive and finite.
     """
 
-    steepness: float = 3.0
-    offset: float = 10.0
-
-    def __post_init__(self) -> None:
-        """Refuse arguments out of range."""
-        for name, value in (("steepness", self.steepness), ("offset", self.offset)):
-            if not (is_number(value) and 0 < value < math.inf):
-                raise ValueError(f"{name} must be positive and finite, got {value!r}")
+    steepness: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 3.0
+    offset: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 10.0
 
     def coefficients(self, theta: Tensor) -> Tensor:
         """Factors b and −v of 1 and x_k, and 0 of x_k²: (2 d + 1, S)."""

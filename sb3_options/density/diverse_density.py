@@ -11,17 +11,16 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from sb3_options.checked import whole
+from sb3_options.checked import Field, settings
 from sb3_options.density.arrays import FloatArray
-from sb3_options.density.bags import Bags, distinct, held_by_all, in_range, positive_scale, real_array
+from sb3_options.density.bags import Bags, distinct, held_by_all, positive_scale, real_array
 from sb3_options.density.concepts import Concept, HalfSpace, Point
 from sb3_options.density.energies import Likelihood
 from sb3_options.density.evidence import Evidence, evenly
@@ -103,7 +102,7 @@ class Peak(NamedTuple):
         return np.asarray(np.exp(-np.square(difference * self.scale).sum(axis=1)))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@settings
 class DiverseDensity:
     """Search for the concepts of highest diverse density.
 
@@ -123,34 +122,20 @@ class DiverseDensity:
     """
 
     concept: Concept = POINT
-    scale: ArrayLike = 1.0
+    scale: Any = 1.0
     method: Literal["gradient", "thorough", "exhaustive"] | None = None
-    max_starts: int | None = 256
-    finalists: int = 32
-    negative_strength: float = 1.0
-    leak: float = 0.0
+    max_starts: Annotated[int, Field(ge=1)] | None = 256
+    finalists: Annotated[int, Field(ge=1)] = 32
+    negative_strength: Annotated[float, Field(gt=0, le=1)] = 1.0
+    leak: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse arguments out of range, by name."""
-        known_scale = isinstance(self.concept, Point) and self.concept == POINT
+        """Choose the method that the concept needs, and refuse another, and a scale that is none."""
+        known_scale = self.concept == POINT
         if self.method is None:
             object.__setattr__(self, "method", "gradient" if known_scale else "thorough")
-        for name, (expected, holds) in {
-            "concept": ("a Point or a HalfSpace", isinstance(self.concept, Point | HalfSpace)),
-            "scale": ("positive, finite, a number or (d,)", positive_scale(self.scale)),
-            "method": (
-                '"gradient", "thorough" or "exhaustive"',
-                isinstance(self.method, str) and self.method in ("gradient", "thorough", "exhaustive"),
-            ),
-            "max_starts": (
-                "a whole number of at least 1, or None",
-                self.max_starts is None or whole(self.max_starts, 1),
-            ),
-            "finalists": ("a whole number of at least 1", whole(self.finalists, 1)),
-            **in_range(self.negative_strength, self.leak),
-        }.items():
-            if not holds:
-                raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
+        if not positive_scale(self.scale):
+            raise ValueError(f"scale must be positive, finite, a number or (d,), got {self.scale!r}")
         if self.method != "thorough" and not known_scale:
             raise ValueError(f'{self.concept} needs method="thorough", got {self.method!r}')
 

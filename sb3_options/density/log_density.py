@@ -8,7 +8,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from sb3_options.density.bags import Bags, check_finite, in_range, positive_scale, real_array
+from sb3_options.density.bags import Bags, check_finite, positive_scale, real_array
 from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Workspace
 from sb3_options.density.objective import evaluate
@@ -69,9 +69,8 @@ def log_diverse_density(
     Raises:
         ValueError: Shapes that do not fit the bags, values not finite, scales, strength or leak out of range.
     """
-    for name, (expected, holds) in in_range(negative_strength, leak).items():
-        if not holds:
-            raise ValueError(f"{name} must be {expected}")
+    if not (0 < negative_strength <= 1 and 0 <= leak < 1):
+        raise ValueError(f"negative_strength must be in (0, 1], leak in [0, 1), got {negative_strength} and {leak}")
     t, s = (
         (x if isinstance(x, Tensor) else torch.from_numpy(real_array(name, x))).to(bags.instances)
         for name, x in (("points", points), ("scales", scales))

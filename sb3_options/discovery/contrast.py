@@ -66,28 +66,27 @@ class Contrast:
             late = np.searchsorted(durations, np.concatenate([v.times for v in visits])) / len(durations)
             weights = np.where(success[of_whom], 1.0, 1.0 - late)
         first = np.array([v.first for v in visits])
-        n_states, began = len(self._numbers), np.flatnonzero(first >= 0)
-        reached = _Reached(states, of_whom, weights, success, n_states)
-        begun = _Reached(first[began], began, np.ones(len(began)), success, n_states)
-        present = np.bincount(states, minlength=n_states) > 0
-        for state, near in self._neighbours(present):
-            reached.join(state, near)
-            begun.join(state, near)
-        n_positive, n_negative = int(success.sum()), int((~success).sum())
-        values = _share(reached.positive, n_positive) - _share(reached.negative, n_negative)
-        values[(begun.positive + begun.negative) / len(visits) > MAX_START_SHARE] = NO_PLACE
+        began = np.flatnonzero(first >= 0)
+        present = np.bincount(states, minlength=len(self._numbers)) > 0
+        near = self._neighbours(present)
+        reached = _reached(states, of_whom, weights, success, near)
+        begun = _reached(first[began], began, np.ones(len(began)), success, near)
+        shares = (reached + 1.0) / (np.bincount(success, minlength=2)[:, None] + 2.0)
+        values = shares[1] - shares[0]
+        values[begun.sum(axis=0) / len(visits) > MAX_START_SHARE] = NO_PLACE
         values[~present] = ABSENT
         self._values = np.append(values, NO_PLACE)
 
-    def _neighbours(self, present: BoolArray) -> list[tuple[int, IntArray]]:
-        """Of each state that has others within the radius: its number, and the numbers of all of them and of itself."""
+    def _neighbours(self, present: BoolArray) -> list[IntArray]:
+        """For each state the numbers of all within the radius, itself among them; of a state that is absent none."""
+        near: list[IntArray] = [np.zeros(0, dtype=np.int64)] * len(present)
         numbers = np.flatnonzero(present)
-        if len(numbers) < 2:
-            return []
-        states = np.frombuffer(b"".join(self._numbers)).reshape(-1, len(self.group.features))
-        scaled = states[numbers] * np.asarray(self.group.scale)
-        near = cKDTree(scaled).query_ball_point(scaled, self.radius)
-        return [(int(numbers[i]), numbers[these]) for i, these in enumerate(near) if len(these) > 1]
+        if len(numbers):
+            states = np.frombuffer(b"".join(self._numbers)).reshape(-1, len(self.group.features))
+            scaled = states[numbers] * np.asarray(self.group.scale)
+            for number, these in zip(numbers, cKDTree(scaled).query_ball_point(scaled, self.radius), strict=True):
+                near[number] = numbers[these]
+        return near
 
     @property
     def n_states(self) -> int:
@@ -112,27 +111,24 @@ class Contrast:
         return enough
 
 
-class _Reached:
-    """How many trajectories visited each state, those that succeeded and the others."""
+def _reached(
+    states: IntArray, of_whom: IntArray, weights: FloatArray, success: BoolArray, near: Sequence[IntArray]
+) -> FloatArray:
+    """How many trajectories visited each state, the others and those that succeeded, (2, n).
 
-    def __init__(
-        self, states: IntArray, of_whom: IntArray, weights: FloatArray, success: BoolArray, n_states: int
-    ) -> None:
-        self.success = success
-        order = np.argsort(states, kind="stable")
-        self._of_whom, self._weights = of_whom[order], weights[order]
-        self._starts = np.searchsorted(states[order], np.arange(n_states + 1))
-        well = success[of_whom]
-        self.positive: FloatArray = np.bincount(states[well], weights[well], minlength=n_states).astype(np.float64)
-        self.negative: FloatArray = np.bincount(states[~well], weights[~well], minlength=n_states).astype(np.float64)
-
-    def join(self, state: int, near: IntArray) -> None:
-        """Count a visit of any of the states ``near`` as one of ``state``, the most that a trajectory has."""
-        most = np.zeros(len(self.success))
-        for other in near:
-            visits = slice(self._starts[other], self._starts[other + 1])
-            np.maximum.at(most, self._of_whom[visits], self._weights[visits])
-        self.positive[state], self.negative[state] = most[self.success].sum(), most[~self.success].sum()
+    Of the visits of a trajectory to the state and those near it, the one of most weight counts.
+    """
+    order = np.argsort(states, kind="stable")
+    starts = np.searchsorted(states[order], np.arange(len(near) + 1))
+    totals: FloatArray = np.zeros((2, len(near)))
+    np.add.at(totals, (success[of_whom].astype(np.int64), states), weights)
+    for state, others in enumerate(near):
+        if len(others) > 1:
+            visits = np.concatenate([order[starts[other] : starts[other + 1]] for other in others])
+            most = np.zeros(len(success))
+            np.maximum.at(most, of_whom[visits], weights[visits])
+            totals[:, state] = most[~success].sum(), most[success].sum()
+    return totals
 
 
 class _Visits:
@@ -151,11 +147,6 @@ class _Visits:
         self.states, which = np.unique(self.numbers[places], return_inverse=True)
         self.times = np.full(len(self.states), came.max(initial=0))
         np.minimum.at(self.times, which.ravel(), came[places])
-
-
-def _share(reached: FloatArray, n: int) -> FloatArray:
-    shares: FloatArray = (reached + 1.0) / (n + 2.0)
-    return shares
 
 
 def _key(state: FloatArray) -> bytes:

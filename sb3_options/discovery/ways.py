@@ -16,9 +16,6 @@ NEAR = 5.0
 AT_ONCE = 1 << 20
 """Distances that are held at once."""
 
-FEW_STATES = 256
-"""Up to so many states all distances between them at once take less time than a tree."""
-
 
 def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArray:
     """The distinct states of a trajectory without its loops, in order.
@@ -54,10 +51,6 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
 
 def _last_near(features: FloatArray, last_visit: IntArray, radius: float) -> Callable[[int], int]:
     """When a trajectory was last within a radius of the state of a row."""
-    if len(features) <= FEW_STATES:
-        same = cdist(features, features, "sqeuclidean") <= radius**2
-        last_nears: list[int] = np.where(same, last_visit, -1).max(axis=1).tolist()
-        return last_nears.__getitem__
     last, neighbours = last_visit.tolist(), cKDTree(features)
     return lambda row: max(last[near] for near in neighbours.query_ball_point(features[row], radius))
 

@@ -88,7 +88,7 @@ def test_refuses_a_method_that_does_not_tell(tmp_path: Path) -> None:
         def update(self, experience: Experience) -> list[Region]:
             return []
 
-    with pytest.raises(ValueError, match=r"^Checkpoints of discovery by Silent are not supported: give it get_state"):
+    with pytest.raises(TypeError, match=r"^a Silent cannot be stored: make it a dataclass, or give it get_state\(\)"):
         model_of("PPO", venv_of()).learn(64, [discovering(method=Silent()), CheckpointCallback(tmp_path)])
 
 

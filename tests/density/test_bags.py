@@ -20,7 +20,7 @@ MASKED = np.ma.array([[1.0], [2.0]], mask=[[False], [True]])
         (MASKED, "positive bag 1 has masked values: leave out the instances"),
         ([["1.5"]], "positive bag 1 must hold real numbers, got <U3"),
         ([[None]], "positive bag 1 must hold real numbers, got object"),
-        ([[1.0], [1.0, 2.0]], "positive bag 1 must hold instances of one length"),
+        ([[1.0], [1.0, 2.0]], "inhomogeneous shape"),
     ],
 )
 def test_no_real_numbers(bag: Any, said: str) -> None:

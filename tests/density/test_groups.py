@@ -54,7 +54,7 @@ def test_labels_tell_where_a_concept_is_and_make_no_other_group() -> None:
         ({"scale": [1]}, "group 'it': scale must be 2 numbers"),
         ({"scale": [0, 1]}, "scale.0 should be greater than 0"),
         ({"seen": {"name": "x", "features": [1, 0]}}, "group 'it': seen must begin with its features"),
-        ({"seen": {"features": [0, 1]}}, "seen.name Field required"),
+        ({"seen": {"features": [0, 1]}}, "seen.name is missing"),
         ({"seen": {"name": "x", "features": [0, 1], "colour": 1}}, "seen.colour"),
         (
             {"seen": {"name": "x", "features": [0, 1], "seen": {"name": "y", "features": [0, 1]}}},

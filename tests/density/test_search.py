@@ -237,14 +237,14 @@ def test_no_rounding_decides_between_peaks_that_tie(scales: Literal["fixed", "on
     ("arguments", "text"),
     [
         ({"scale": -1.0}, "scale must be positive, finite, a number or (d,), got -1.0"),
-        ({"finalists": 0}, "finalists must be a whole number of at least 1, got 0"),
-        ({"finalists": 2.5}, "finalists must be a whole number of at least 1, got 2.5"),
-        ({"max_starts": 0.5}, "max_starts must be a whole number of at least 1, or None, got 0.5"),
-        ({"method": "newton"}, 'method must be "gradient", "thorough" or "exhaustive"'),
-        ({"negative_strength": 2.0}, "negative_strength must be in (0, 1], got 2.0"),
+        ({"finalists": 0}, "finalists should be greater than or equal to 1, got 0"),
+        ({"finalists": 2.5}, "finalists should be a valid integer"),
+        ({"max_starts": 0.5}, "max_starts should be a valid integer"),
+        ({"method": "newton"}, "method should be 'gradient', 'thorough' or 'exhaustive'"),
+        ({"negative_strength": 2.0}, "negative_strength should be less than or equal to 1, got 2.0"),
         ({"scale": [[1.0]]}, "scale must be positive, finite, a number or (d,)"),
         ({"concept": Point(), "method": "exhaustive"}, "needs method=\"thorough\", got 'exhaustive'"),
-        ({"leak": 1.0}, "leak must be in [0, 1), got 1.0"),
+        ({"leak": 1.0}, "leak should be less than 1, got 1.0"),
     ],
 )
 def test_bad_settings(arguments: dict[str, object], text: str) -> None:
@@ -252,21 +252,12 @@ def test_bad_settings(arguments: dict[str, object], text: str) -> None:
         DiverseDensity(**arguments)  # type: ignore[arg-type]  # wrong on purpose
 
 
-def test_bad_searches() -> None:
-    bags = planted(0)
-    search = DiverseDensity(concept=Point())
-    with pytest.raises(ValueError, match="nothing to search from: without positive bags pass starts"):
-        search.search(Bags.pack([], [np.zeros((1, 2))]))
-    with pytest.raises(ValueError, match=re.escape("starts must be finite, of shape (m, 2), got (1, 3)")):
-        search.search(bags, starts=np.zeros((1, 3)))
-
-
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: Point("two"), 'scales must be "each", "one" or "fixed"'),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: Point("two"), "scales should be 'each', 'one' or 'fixed'"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: Point(scale_bounds=(1.0, 0.5)), "scale_bounds must be factors 0 <= low < high, got (1.0, 0.5)"),
-        (lambda: Point(prior_width=0.0), "prior_width must be positive and finite, or None, got 0.0"),
+        (lambda: Point(prior_width=0.0), "prior_width should be greater than 0, got 0.0"),
     ],
 )
 def test_bad_concepts(make: object, text: str) -> None:

@@ -105,15 +105,6 @@ def test_counts_on_as_ways_come_and_go(rng: np.random.Generator, decimals: int) 
     assert shares.update(some[::-1]).tolist() == brute_force(some[::-1], 1.0)
 
 
-def test_many_states_lose_the_loops_that_few_do(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Distances at once find what a tree finds."""
-    points = rng.uniform(0, 10, (100, 2))
-    visits = np.arange(100)
-    few = loop_erased(points, visits, 1.0)
-    monkeypatch.setattr("sb3_options.discovery.ways.FEW_STATES", 0)
-    assert loop_erased(points, visits, 1.0).tolist() == few.tolist()
-
-
 def test_counts_in_parts_as_at_once(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     ways = [rng.uniform(0, 10, (int(rng.integers(1, 9)), 2)) for _ in range(20)]
     monkeypatch.setattr("sb3_options.discovery.ways.AT_ONCE", 64)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sb3_options.checked import is_number
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.diary import Diary
@@ -105,11 +104,11 @@ class Places(NamedTuple):
 class DiscoveryMethod(Protocol):
     """Proposes subgoals from the agent's experience, and from nothing else.
 
-    Any object with this method may be passed as ``SubgoalDiscoveryCallback(method=…)``. A checkpoint also needs
-    ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``. The budget also
-    needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock. Without it
-    updates are measured, and two trainings with one seed may differ. ``needs_success = True`` says that a method
-    proposes nothing before a success; where none succeeds, that is the reason that users read.
+    Any object with this method may be passed as ``SubgoalDiscoveryCallback(method=…)``. For a checkpoint it must be a
+    dataclass, or have ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``.
+    The budget also needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock.
+    Without it updates are measured, and two trainings with one seed may differ. ``needs_success = True`` says that a
+    method proposes nothing before a success; where none succeeds, that is the reason that users read.
     """
 
     def update(self, experience: Experience) -> Sequence[Region]:
@@ -211,6 +210,8 @@ class Method:
 class OwnMethod(Method):
     """A user's own method, whose proposals are checked and copied, so that it cannot change them later."""
 
+    STATE = ("method",)
+
     def __init__(self, method: DiscoveryMethod) -> None:
         self.method = method
         self.needs_success = bool(getattr(method, "needs_success", False))
@@ -244,23 +245,7 @@ class OwnMethod(Method):
         """Nominal seconds of the last update: the user's estimate, or as measured."""
         if not hasattr(self.method, "seconds"):
             return self._cost
-        seconds = self.method.seconds(experience)
-        if not (is_number(seconds) and 0.0 <= seconds < np.inf):
-            raise ValueError(f"{self.name}.seconds must return a finite number of at least 0, got {seconds!r:.200}.")
-        return float(seconds)
-
-    def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        if not (hasattr(self.method, "get_state") and hasattr(self.method, "set_state")):
-            raise ValueError(
-                f"Checkpoints of discovery by {self.name} are not supported: give it get_state() and set_state(state)."
-            )
-        state: dict[str, Any] = self.method.get_state()
-        return state
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
-        self.method.set_state(state)  # type: ignore[attr-defined]  # `get_state` has asked for it
+        return float(self.method.seconds(experience))
 
     @property
     def name(self) -> str:
