@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.experience.observations import FloatArray, IntArray
+from sb3_options.experience.observations import FloatArray, IntArray, flatten
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 
@@ -83,7 +84,7 @@ def map_figure(discovery: Discovery, bank: OptionBank) -> Figure | None:
     ):
         visits[np.unique(own)] += labelled.success
     options = [o for o in bank.slots if isinstance(o, SubgoalOption) and o.subgoal.group is None]
-    squares = _Map(seen, discovery.scale)
+    squares = _Map(seen, discovery.scale, _axis_names(discovery, seen.shape[1]))
     n_panels = (density is not None) + 1 + 2 * bool(options)
     columns = min(n_panels, 2)
     n_rows = -(-n_panels // columns)
@@ -120,8 +121,8 @@ def map_figure(discovery: Discovery, bank: OptionBank) -> Figure | None:
 class _Map:
     """The first two features of everything seen: squares as wide as neighbours are apart, and one unit at least."""
 
-    def __init__(self, seen: FloatArray, scale: FloatArray) -> None:
-        self.n_features = seen.shape[1]
+    def __init__(self, seen: FloatArray, scale: FloatArray, names: Sequence[str]) -> None:
+        self.names = names
         self.positions, rows = np.unique(seen[:, :2], axis=0, return_inverse=True)
         self._row_of = rows.ravel()
         apart = [np.diff(np.unique(x)).min(initial=np.inf) if np.ptp(x) > 0 else 0.0 for x in self.positions.T]
@@ -161,7 +162,18 @@ class _Map:
             axes.set_aspect("equal")
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(MaxNLocator(integer=True))
-        axes.set(xlabel=f"feature 1 of {self.n_features}", ylabel=f"feature 2 of {self.n_features}")
+        axes.set(xlabel=self.names[0], ylabel=self.names[1])
+
+
+def _axis_names(discovery: Discovery, n: int) -> list[str]:
+    """Names of the first two of n features: keys of observations, coordinates, or else their numbers."""
+    states = next(iter(discovery.database)).trajectory.states
+    if discovery.kind == "identity" and isinstance(states, Mapping):
+        sizes = {key: flatten(states[key]).shape[1] for key in sorted(states)}
+        return [key if size == 1 else f"{key}[{i}]" for key, size in sizes.items() for i in range(size)]
+    if n == 2 or discovery.kind == "environment":
+        return ["x", "y"]
+    return [f"feature {i} of {n}" for i in (1, 2)]
 
 
 def _moves(discovery: Discovery, options: list[SubgoalOption]) -> tuple[FloatArray, FloatArray]:

@@ -84,11 +84,6 @@ class LearnedMap:
             )
         if not all(np.isfinite(array).all() for array in arrays.values()):
             raise ValueError("the learned feature map holds numbers that are not finite")
-        weights = {key.removeprefix("encoder."): value for key, value in arrays.items() if key.startswith("encoder.")}
-        self.encoder.load_state_dict(
-            {
-                key: torch.as_tensor(np.array(value)).to(self.encoder.state_dict()[key].dtype)
-                for key, value in weights.items()
-            }
-        )
+        weights = {key: torch.as_tensor(np.array(arrays[f"encoder.{key}"])) for key in self.encoder.state_dict()}
+        self.encoder.load_state_dict(weights)
         self.scale, self.learned = np.array(arrays["scale"], dtype=np.float64), int(arrays["learned"])

@@ -1,5 +1,12 @@
 """`FeatureLearner`: learns a feature map from saved trajectories, again and again while they become more.
 
+The objective is a contrastive temporal distance: how long it takes from one observation to another, as a distance in
+Euclidean space. Jiang et al. (2025), *Episodic Novelty Through Temporal Distance*, learn the successor distance of
+Myers et al. (2024), d(x, y) = log p(y | y) − log p(y | x) with p the discounted distribution of future states. Their
+energy is c(y) − d(x, y), where d is the quasimetric of Liu et al. (2023), *Metric Residual Networks*: an asymmetric
+part, plus ‖φ(x) − φ(y)‖. Here d is the second part alone, for diverse density, radii and static filters measure
+distances without direction. What is lost is the difference between there and back.
+
 Gradient steps on pictures take long. So they are spread over training: some at once, some more every thousand primitive
 steps. How many is counted in nominal seconds, so that one seed gives one result.
 """
@@ -12,11 +19,11 @@ from collections.abc import Iterable
 
 import numpy as np
 import torch
+from torch.nn import functional
 
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.pairs import Replay
 from sb3_options.embedding.settings import EmbeddingSettings
-from sb3_options.embedding.temporal_distance import contrastive_loss
 from sb3_options.experience.trajectories import Trajectory
 
 FIRST_TRAJECTORIES = 8
@@ -33,6 +40,9 @@ PAUSE_SECONDS = 1.0
 
 UPDATE_SECONDS, NUMBER_SECONDS = 1.5e-3, 8e-9
 """Nominal seconds of a gradient step, and of each number of the observations in it: measured on one core."""
+
+SOFT = 1e-4
+"""Added beneath the root, whose slope at 0 is infinite; above the rounding of the matrix product."""
 
 
 class FeatureLearner:
@@ -140,3 +150,17 @@ class FeatureLearner:
         one, other = np.split(self.map.of_tensor(replay.observations[rows])[which.numpy()], 2)
         median = float(np.median(np.linalg.norm(one - other, axis=1)))
         return median if median > 0.0 else 1.0
+
+
+def energies(began: torch.Tensor, led: torch.Tensor) -> torch.Tensor:
+    """c(yⱼ) − ‖φ(xᵢ) − φ(yⱼ)‖ of all pairs, (n, n), from what the encoder makes of x and y, (n, d + 1): φ, then c."""
+    x, y = began[:, :-1], led[:, :-1]
+    squares = x.square().sum(dim=1)[:, None] + y.square().sum(dim=1) - 2.0 * x @ y.T
+    return led[:, -1] - torch.sqrt(squares.clamp(min=0.0) + SOFT)
+
+
+def contrastive_loss(began: torch.Tensor, led: torch.Tensor) -> torch.Tensor:
+    """Symmetric InfoNCE: which y followed which x, and the other way round (Jiang et al. 2025)."""
+    logits = energies(began, led)
+    same = torch.arange(len(logits))
+    return 0.5 * (functional.cross_entropy(logits, same) + functional.cross_entropy(logits.T, same))

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor
-from sb3_options.experience.observations import batch_size, concatenate, key_of, one_of, take
+from sb3_options.experience.observations import batch_size, concatenate, key_of, take
 from sb3_options.experience.trajectories import Trajectory
 
 MOST_BYTES = 256 << 20
@@ -38,7 +38,7 @@ class Replay:
             fresh = []
             for i in range(n):
                 before = len(row_of)
-                rows[i] = row_of.setdefault(key_of(one_of(trajectory.states, i)), before)
+                rows[i] = row_of.setdefault(key_of(take(trajectory.states, i)), before)
                 if rows[i] == before:
                     fresh.append(i)
             new.append(take(trajectory.states, np.array(fresh, dtype=np.int64)))

@@ -45,15 +45,8 @@ def stack(observations: list[Any]) -> Observations:
     return np.stack([np.asarray(o) for o in observations])
 
 
-def one_of(observations: Observations, index: int) -> Any:
-    """One observation of a batch."""
-    if isinstance(observations, Mapping):
-        return {key: value[index] for key, value in observations.items()}
-    return observations[index]
-
-
-def take(observations: Observations, indices: IntArray | slice) -> Observations:
-    """The observations at ``indices``, in that order."""
+def take(observations: Observations, indices: IntArray | slice | int) -> Any:
+    """The observations at ``indices``, in that order, as a batch; at a single index one observation."""
     if isinstance(observations, Mapping):
         return {key: value[indices] for key, value in observations.items()}
     return observations[indices]

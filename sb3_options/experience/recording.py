@@ -106,7 +106,7 @@ class TrajectoryRecorder:
         self._forget()
         states = state["states"]
         if states is not None:
-            self._states = [obs_batch.copy_of(obs_batch.one_of(states, i)) for i in range(obs_batch.batch_size(states))]
+            self._states = [obs_batch.copy_of(obs_batch.take(states, i)) for i in range(obs_batch.batch_size(states))]
         self._row_of = {obs_batch.key_of(each): row for row, each in enumerate(self._states)}
         self._visits, self._actions = state["visits"].tolist(), state["actions"].tolist()
         self._rewards = state["rewards"].tolist()

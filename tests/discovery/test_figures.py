@@ -120,6 +120,7 @@ def test_start_goal_and_subgoal_are_marked_and_the_legend_names_the_marks() -> N
         assert {tuple(p) for p in marked["o"]} == starts
         assert {tuple(p) for p in marked["D"]} == goals
         assert marked["*"].tolist() == discovery.found[0].subgoal.points.tolist()
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("x", "y")
     (legend,) = subgoals_figure(discovery, bank).legends
     assert [t.get_text() for t in legend.get_texts()] == ["start", "goal: where a success ended", "subgoal"]
 
@@ -156,13 +157,18 @@ def test_initiation_set_and_arrows_that_lead_to_the_subgoal() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "features"),
-    [("identity", lambda s: np.column_stack([s, s[:, 0] * s[:, 1]])), ("given", lambda s: 2.0 * s)],
+    ("kind", "features", "name"),
+    [
+        ("identity", lambda s: np.column_stack([s, s[:, 0] * s[:, 1]]), "feature 1 of 3"),
+        ("given", lambda s: 2.0 * s, "x"),
+    ],
     ids=["three", "scaled"],
 )
-def test_spaces_of_other_sizes(kind: str, features: Callable[[Any], npt.NDArray[np.float64]]) -> None:
+def test_spaces_of_other_sizes(kind: str, features: Callable[[Any], npt.NDArray[np.float64]], name: str) -> None:
     discovery, bank = discovered(kind, features)
-    assert list(maps(discovery, bank)) == [DENSITY, VISITS, "initiation set", POLICY]
+    panels = maps(discovery, bank)
+    assert list(panels) == [DENSITY, VISITS, "initiation set", POLICY]
+    assert {axes.get_xlabel() for axes in panels.values()} == {name}
     file = io.BytesIO()
     subgoals_figure(discovery, bank).savefig(file, format="png")
     assert n_colours(np.asarray(iio.imread(file.getvalue()))) > 50
@@ -174,6 +180,17 @@ def test_spaces_without_a_map(kind: str, features: Callable[[Any], npt.NDArray[n
     assert map_figure(discovery, bank) is None
     (text,) = subgoals_figure(discovery, bank).axes[0].texts
     assert text.get_text().startswith(f"Subgoals: {discovery.found[0].where(kind)}. Their features have no map")
+
+
+def test_keys_of_observations_name_the_axes() -> None:
+    discovery = Discovery(DiscoverySettings(min_positive=1), kind="identity")
+    for walk in walks(30):
+        features = np.asarray(walk.states, dtype=np.float64)
+        keyed = dataclasses.replace(walk, states={"row": features[:, 1:], "column": features[:, :1]})
+        discovery.add(keyed, features)
+        discovery.search()
+    axes = maps(discovery, OptionBank(4, 2))[VISITS]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("column", "row")
 
 
 def test_before_any_search_there_is_nothing_to_draw() -> None:

@@ -6,8 +6,8 @@ import torch
 
 from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor, form_of_array
 from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.embedding.learner import SOFT, contrastive_loss, energies
 from sb3_options.embedding.pairs import Replay
-from sb3_options.embedding.temporal_distance import SOFT, contrastive_loss, energies
 from tests.embedding.truth import path_through
 from tests.support.helpers import equal
 
