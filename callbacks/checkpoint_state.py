@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 from stable_baselines3.common import callbacks as sb3
@@ -57,19 +58,16 @@ def check(root: BaseCallback | None) -> None:
 def set_states(root: BaseCallback | None, states: list[State]) -> None:
     """Go on with what `get_states` gave, in callbacks that were made with the same settings."""
     callbacks = _callbacks(root)
-    here, there = [type(each).__name__ for each in callbacks], [state["class"] for state in states]
-    if here != there:
-        raise ValueError(
-            f"The checkpoint was written with the callbacks {', '.join(there)}, here are {', '.join(here)}."
-        )
-    for callback, state in zip(callbacks, states, strict=True):
-        made = _settings(callback)
-        for name, of in state["settings"].items():
-            if made.get(name) != of:
+    written = [{"callback": state["class"], **state["settings"]} for state in states]
+    present = [{"callback": type(each).__name__, **_settings(each)} for each in callbacks]
+    for then, now in itertools.zip_longest(written, present, fillvalue={"callback": None}):
+        for name, value in then.items():
+            if now.get(name) != value:
                 raise ValueError(
-                    f"The checkpoint was written with {name}={of!r} of {type(callback).__name__}, and here it is "
-                    f"{made.get(name)!r}: what goes on has the same."
+                    f"The checkpoint was written with {name} {value!r}, the present one is {now.get(name)!r}: training "
+                    "goes on with the same callbacks and settings alone."
                 )
+    for callback, state in zip(callbacks, states, strict=True):
         for name in _names(callback):  # and no others that a stranger's file may name, as a path to write to
             setattr(callback, name, state["known"][name])
         if _tells(callback):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -72,10 +72,10 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def __init__(self, kind: NoveltyKind = "counts", *, weight: float = 0.1, seed: int = 0) -> None:
         super().__init__()
-        if not (isinstance(kind, str) and kind in ("counts", "rnd")):
-            raise ValueError(f"kind must be 'counts' or 'rnd', got {kind!r}.")
-        if not (is_number(weight) and 0.0 <= weight < math.inf):
-            raise ValueError(f"weight must be at least 0 and finite, got {weight!r}.")
+        if kind not in get_args(NoveltyKind) or not (is_number(weight) and 0.0 <= weight < math.inf):
+            raise ValueError(
+                f"kind must be 'counts' or 'rnd', and weight finite and at least 0, got {kind!r} and {weight!r}."
+            )
         self.kind = kind
         self.weight = weight
         self.seed = seed

@@ -12,7 +12,6 @@ from sb3_options.callbacks.checks import check_options
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.tree import all_callbacks, check_every_step, evaluation_envs
 from sb3_options.execution.above import monitor_primitive_steps
-from sb3_options.execution.ray_vec_env import RayVecEnv
 from sb3_options.execution.workers import watch_workers
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
@@ -148,8 +147,8 @@ class PrimitiveStepsCallback(BaseCallback):
         """Count what one step of every environment ran; whether training goes on."""
         if self._counts:
             self._count_inner_steps(runs)
-            if isinstance(venv := self.training_env.unwrapped, RayVecEnv):
-                self.logger.record("time/lost_actors", venv.lost_actors)
+            if hasattr(self.training_env.unwrapped, "lost_actors"):  # a RayVecEnv
+                self.logger.record("time/lost_actors", self.training_env.unwrapped.lost_actors)
         buffer = self._rollout_buffer
         if buffer is None:
             return True

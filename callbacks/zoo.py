@@ -6,11 +6,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.callbacks import EvalCallback
-
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.summaries import save_or_warn
-from sb3_options.callbacks.tree import all_callbacks
+from sb3_options.callbacks.tree import evaluation_envs
 from sb3_options.options.archive import NAME
 from sb3_options.zoo import ZooOptionsWrapper
 
@@ -50,8 +48,7 @@ class ZooDiscoveryCallback(SubgoalDiscoveryCallback):
         save_or_warn(self.bank, self.save_path)  # a run that discovers nothing can be played too
 
     def _discount_as_the_model(self) -> None:
-        callbacks = all_callbacks(self.locals.get("callback"))
-        for venv in [self.training_env, *(each.eval_env for each in callbacks if isinstance(each, EvalCallback))]:
+        for venv in (self.training_env, *evaluation_envs(self.locals.get("callback"))):
             if all(venv.env_is_wrapped(ZooOptionsWrapper)):
                 venv.env_method("discount_with", self.model.gamma)  # type: ignore[attr-defined]  # every algorithm over discrete actions has it
 

@@ -70,7 +70,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             precision, instead of learning from them.
 
     Raises:
-        TypeError: The action space is not ``Discrete``, or ``feature_map`` is not callable.
+        TypeError: The action space is not ``Discrete`` from 0 on, or ``feature_map`` is not callable.
         ValueError: An argument is out of its range, or the file's options do not fit the environment.
         FileNotFoundError: There is no ``options_file``.
     """
@@ -102,16 +102,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         )
         gym.Wrapper.__init__(self, env)
         primitive = env.action_space
-        if not isinstance(primitive, spaces.Discrete):
+        if not isinstance(primitive, spaces.Discrete) or primitive.start != 0:
             raise TypeError(
-                f"OptionsWrapper needs a Discrete action space, got {primitive}: options choose among numbered "
-                "primitive actions. Discretise the actions first."
-            )
-        if primitive.start != 0:
-            raise ValueError(
-                f"OptionsWrapper needs actions that start at 0, got {primitive}: wrap the environment in "
-                f"gymnasium.wrappers.TransformAction(env, lambda action: action + {primitive.start}, "
-                f"gymnasium.spaces.Discrete({primitive.n}))."
+                f"OptionsWrapper needs a Discrete action space that starts at 0, got {primitive}: discretise or number "
+                "the actions first, for instance by gymnasium.wrappers.TransformAction."
             )
         if not (is_number(gamma) and 0.0 < gamma <= 1.0):
             raise ValueError(f"gamma must be in (0, 1], got {gamma!r}.")
@@ -276,8 +270,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if 0 <= action < self.n_primitive:
             return self._run_primitive(action)
         if not 0 <= slot < self.bank.max_options:
-            last = self.n_primitive + self.bank.max_options - 1
-            raise ValueError(f"action must be between 0 and {last}, got {action}.")
+            raise ValueError(f"action must be between 0 and {self.action_space.n - 1}, got {action}.")
         option = self.bank[slot]
         if option is None:
             self._warn_once(

@@ -8,7 +8,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback, load_checkpoint
 from sb3_options.checkpoints.file import read
-from sb3_options.discovery.methods import DiscoveryMethod
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from sb3_options.discovery.methods.visits import RandomPlaces
 from tests.callbacks.test_checkpoint_resuming import Callbacks, discovering, model_of, venv_of
@@ -52,46 +51,21 @@ class TestLoadCheckpoint:
     @pytest.mark.parametrize(
         ("changed", "text"),
         [
-            (
-                {"settings": {"min_positive": 9}},
-                r"with settings min_positive=\d+ of SubgoalDisc.* here it is 9",
-            ),
-            (
-                {"option_settings": {"sweeps": 7}},
-                r"with option_settings sweeps=\d+ of SubgoalDisc.* here it is 7",
-            ),
+            ({"settings": {"min_positive": 9}}, r"settings min_positive \d+, the present one is 9"),
+            ({"option_settings": {"sweeps": 7}}, r"option_settings sweeps \d+, the present one is 7"),
+            ({"method": RandomPlaces()}, "method class 'RelativeNovelty', the present one is 'Random"),
+            ({"method": None}, "method class 'RelativeNovelty', the present one is 'NoneType'"),
+            ({"method": RelativeNovelty(lag=9)}, "method lag 7, the present one is 9"),
         ],
     )
-    def test_refuses_other_settings(self, changed: dict[str, Any], text: str, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [SubgoalDiscoveryCallback(), CheckpointCallback(tmp_path)])
-        model, other = model_of("PPO", venv_of()), [SubgoalDiscoveryCallback(**changed), CheckpointCallback(tmp_path)]
+    def test_refuses_other_settings_and_methods(self, changed: dict[str, Any], text: str, tmp_path: Path) -> None:
+        method: dict[str, Any] = {"method": RelativeNovelty()}
+        written = SubgoalDiscoveryCallback(**method)
+        model_of("PPO", venv_of()).learn(64, [written, CheckpointCallback(tmp_path)])
+        other = [SubgoalDiscoveryCallback(**method | changed), CheckpointCallback(tmp_path)]
+        model = model_of("PPO", venv_of())
         load_checkpoint(tmp_path, model, other)
-        with pytest.raises(ValueError, match=text):
-            model.learn(64, other)
-
-    @pytest.mark.parametrize(
-        ("method", "text"),
-        [
-            (
-                RandomPlaces(),
-                r"with method class='RelativeNovelty' of SubgoalDiscoveryCallback, and here it is 'Random",
-            ),
-            (None, r"with method class='RelativeNovelty' of SubgoalDiscoveryCallback, and here it is 'NoneType'"),
-            (
-                RelativeNovelty(lag=9),
-                r"with method lag=7 of SubgoalDiscoveryCallback, and here it is 9",
-            ),
-        ],
-    )
-    def test_refuses_another_method(self, method: DiscoveryMethod, text: str, tmp_path: Path) -> None:
-        made = SubgoalDiscoveryCallback(method=RelativeNovelty())
-        model_of("PPO", venv_of()).learn(64, [made, CheckpointCallback(tmp_path)])
-        model, other = (
-            model_of("PPO", venv_of()),
-            [SubgoalDiscoveryCallback(method=method), CheckpointCallback(tmp_path)],
-        )
-        load_checkpoint(tmp_path, model, other)
-        with pytest.raises(ValueError, match=text):
+        with pytest.raises(ValueError, match=f"written with {text}"):
             model.learn(64, other)
 
     def test_refuses_another_discount(self, tmp_path: Path) -> None:
@@ -117,7 +91,7 @@ class TestLoadCheckpoint:
         model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
         model, other = model_of("PPO", venv_of()), CheckpointCallback(tmp_path)
         load_checkpoint(tmp_path, model, other)
-        with pytest.raises(ValueError, match=r"with the callbacks SubgoalDiscoveryCallback, Check"):
+        with pytest.raises(ValueError, match=r"with callback 'SubgoalDiscoveryCallback', the present one is 'Check"):
             model.learn(64, [other, discovering()])
         model, same = model_of("PPO", venv_of(4)), [discovering(), CheckpointCallback(tmp_path)]
         load_checkpoint(tmp_path, model, same)

@@ -132,7 +132,7 @@ REFUSED: dict[str, tuple[Make, str]] = {
     "no policy": (changed(lambda s, _: s["model"].pop("policy")), "does not fit what is trained here: KeyError"),
     "other callbacks": (
         changed(lambda s, _: s["callbacks"][0].update({"class": "Evil"})),
-        "The checkpoint was written with the callbacks Evil",
+        "The checkpoint was written with callback 'Evil'",
     ),
     "an environment around others": (
         changed(lambda s, _: s["environments"][0]["environments"][0][0].update({"class": "Evil"})),
