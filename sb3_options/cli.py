@@ -106,23 +106,21 @@ def _stop(error: BaseException, text: str, status: int) -> NoReturn:
 def parse(args: Sequence[str]) -> TrainConfig:
     """The configuration that a command line describes: a flag is a line of a file of settings."""
     words, flags = _split(args)
-    if len(words) > 1:
-        raise ValueError(f"{words[1]!r} is no flag: one algorithm is trained at a time, and flags begin with --.")
+    algo = " ".join(words).lower()
     if words:
-        configs.check_algo(words[0].lower(), COMMANDS)  # a mistyped command is no algorithm
+        configs.check_algo(algo, COMMANDS)  # a mistyped command is no algorithm
     asked = dict(_value(name, texts, _type_of(name)) for name, texts in flags.items())
     if "version" in asked:
         print(f"sb3-options {version('sb3-options')}")
         sys.exit()
     file = asked.pop("config", None)
     section = asked.pop("help", None)
-    algo = asked.pop("algo", words[0] if words else None)
+    algo = str(asked.pop("algo", algo)).lower()
     trusted = {name: asked[name] for name in IMPORTING if name in asked}
     values: dict[str, Any] = {}
     if file is not None:
         values = configs.read(Path(file) / configs.CONFIG if Path(file).is_dir() else Path(file), trusted)
-    if algo is not None:
-        algo = algo.lower()
+    if algo:
         if values.get("algo", algo) != algo:
             values = {name: value for name, value in values.items() if name in FIELDS and name not in configs.OWN}
         values["algo"] = algo
@@ -143,8 +141,6 @@ def parse_command(command: str, args: Sequence[str]) -> Any:
         _show_help_of(command, first)
     if words:
         flags[first] = words
-    if len(words) > 1 and not fields[first].type.startswith("tuple"):
-        raise ValueError(f"{command} takes one {first.upper()}, got {' '.join(words)}.")
     for name in flags.keys() - fields.keys():
         raise ValueError(f"{command}: there is no setting {name!r}.{configs.near(name, {n: n for n in fields})}")
     try:

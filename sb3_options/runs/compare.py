@@ -146,10 +146,8 @@ def groups_of(words: Sequence[str]) -> dict[str, list[Run]]:
         name, equals, pattern = word.partition("=")
         if not equals or Path(word).exists():
             name, pattern = "", word
-        found = [Path(pattern)] if Path(pattern).is_dir() else sorted(map(Path, glob.glob(pattern)))  # noqa: PTH207  # absolute patterns, too
-        folders = [folder for folder in found if folder.is_dir()]
-        if not folders:
-            raise FileNotFoundError(f"There is no run folder {pattern}.")
+        found = [] if Path(pattern).is_dir() else sorted(map(Path, glob.glob(pattern)))  # noqa: PTH207  # absolute patterns, too
+        folders = [folder for folder in found if folder.is_dir()] or [Path(pattern)]
         named.setdefault(name, []).extend(read_run(run) for folder in folders for run in runs_in(folder))
     return (grouped(named.pop("")) if "" in named else {}) | named
 

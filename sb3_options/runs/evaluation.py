@@ -66,12 +66,6 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
     """
     asked = EvaluateConfig(run, **settings)
     model = runs.BEST if asked.best else runs.MODEL
-    for name in (runs.CONFIG, model, runs.OPTIONS):
-        if not (run / name).is_file():
-            raise FileNotFoundError(
-                f"{run} lacks {name}: it is no run folder, or its training was cut off (`resume` goes on from a "
-                f"checkpoint){', or had no --eval-freq' if asked.best else ''}."
-            )
     # What the run started with is in its own options file, too.
     config = replace(configs.load(run / runs.CONFIG, asked.trusted()), options=None)
     cameras: list[RecordFrames] = []

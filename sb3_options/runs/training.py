@@ -25,7 +25,6 @@ from sb3_options.atomic import atomic_write
 from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
 from sb3_options.callbacks.checkpoints import EndedAtCheckpointError, load_checkpoint
 from sb3_options.checkpoints.environments import refusal
-from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.execution.workers import WorkerLostError, end_workers
 from sb3_options.experience.success import SuccessRule, judged, success_rule, tell_success
@@ -178,11 +177,6 @@ def resume(resumed: ResumeConfig, console: Console) -> Trained | None:
 def config_of(resumed: ResumeConfig) -> TrainConfig:
     """The configuration of a run as it goes on. The options it started with are in the checkpoint."""
     _refuse_links(resumed.run)
-    if not any(CheckpointFolder(resumed.run / runs.CHECKPOINTS)):
-        raise FileNotFoundError(
-            f"There is no checkpoint in {resumed.run} to go on from: it was cut off before its first one, or trained "
-            "with --checkpoint-freq 0."
-        )
     config = configs.load(resumed.run / runs.CONFIG, resumed.trusted())
     total = max(resumed.n_timesteps or 0, config.n_timesteps)
     return dataclasses.replace(config, n_timesteps=total, options=None, progress=resumed.progress)

@@ -78,7 +78,7 @@ def test_a_missing_extra_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["compare", "nowhere"], "no run folder nowhere"),
+        (["compare", "nowhere"], "nowhere has no TensorBoard file"),
         (["options", "nowhere"], "nowhere"),
     ],
 )

@@ -110,7 +110,7 @@ def test_groups_by_hand(tmp_path: Path) -> None:
     one, two, other = (logged(tmp_path / name, [0.0]) for name in ("a_1", "a_2", "b=1"))
     groups = groups_of([f"ours={tmp_path}/a_*", str(other)])
     assert folders(groups) == {f"{tmp_path.name}/b=1": [other], "ours": [one, two]}
-    with pytest.raises(FileNotFoundError, match="no run folder"):
+    with pytest.raises(ValueError, match="has no TensorBoard file"):
         groups_of([f"{tmp_path}/c_*"])
 
 

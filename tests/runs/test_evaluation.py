@@ -51,9 +51,9 @@ def test_a_run_that_was_cut_off_is_refused(run: Path, tmp_path: Path) -> None:
     copy = tmp_path / "run"
     shutil.copytree(run, copy)
     (copy / runs.MODEL).unlink()
-    with pytest.raises(FileNotFoundError, match=r"lacks model\.zip"):
+    with pytest.raises(FileNotFoundError, match=r"model\.zip"):
         evaluate_run(copy)
-    with pytest.raises(FileNotFoundError, match=r"lacks config\.yml"):
+    with pytest.raises(FileNotFoundError, match=r"config\.yml"):
         evaluate_run(tmp_path)
 
 
