@@ -116,7 +116,7 @@ class Usefulness:
 
     def add(self, run: OptionRun, env: int, *, success: bool | None) -> None:
         """Note a run that began in I, in which environment, and the success of the episode that it ended, if any."""
-        if not self.settings.judge:
+        if self.settings.min_reached == 0:
             return
         self._ran.setdefault(env, set()).add(run.index)
         ending = "failed" if run.termination == "terminated" and success is False else run.termination
@@ -128,12 +128,14 @@ class Usefulness:
     def episode_ended(self, env: int, filled: Iterable[int], *, success: bool) -> None:
         """Note which options ran in an episode."""
         ran = self._ran.pop(env, set())
-        for slot in filled if self.settings.judge else ():
+        for slot in filled if self.settings.min_reached > 0 else ():
             self._of(slot).episodes.append(Episode(slot in ran, success))
 
     def counts_needs(self, options: OptionInstaller) -> bool:
         """Whether it is still to be seen which subgoals successes pass."""
-        return self.settings.judge and any(len(self._of(slot).needed) < WINDOW for slot, _ in _judged(options))
+        return self.settings.min_reached > 0 and any(
+            len(self._of(slot).needed) < WINDOW for slot, _ in _judged(options)
+        )
 
     def succeeded(self, options: OptionInstaller, features: FloatArray) -> None:
         """Note which subgoals a success passed, from φ of its states, (m, d)."""

@@ -84,7 +84,7 @@ def first_subgoal(
     discovery = discovery_of(settings, [], success=success, negative_strength=negative_strength, loops=loops)
     for trial, labelled in enumerate(trajectories, start=1):
         added = discovery.add(labelled.trajectory, labelled.features)
-        if added.success or discovery.settings.negative_bags:
+        if added.success or discovery.settings.negative_strength > 0:
             subgoal = discovery.search()
             if subgoal is not None:
                 return trial, cell_of(subgoal.points[0])

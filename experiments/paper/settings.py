@@ -77,8 +77,7 @@ class PaperSettings:
             **(bags if loops else {}),
             capacity=max(self.trials, self.negative_trials),
             min_positive=self.min_positive,
-            negative_bags=negative_strength is not None,
-            negative_strength=negative_strength or 1.0,
+            negative_strength=negative_strength or 0.0,
             search=self.search,
             search_growth=0.0,  # Table 1: after every trajectory
             scale=self.gaussian_scale,

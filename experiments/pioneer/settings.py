@@ -63,7 +63,7 @@ class PioneerSettings:
         return DiscoverySettings(
             capacity=self.trials,
             min_positive=self.min_positive,
-            negative_bags=False,
+            negative_strength=0.0,
             loops="keep",
             min_passing=0.0,
             leak=0.0,

@@ -13,7 +13,7 @@ from sb3_options.density.bags import Bags, first_rows
 from sb3_options.density.regions import Region
 from sb3_options.discovery.contrast import Contrast
 from sb3_options.discovery.filters import Filters, Way
-from sb3_options.discovery.local_cuts import LocalCuts
+from sb3_options.discovery.local_cuts import MIN_CUT, LocalCuts
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.ways import PassingShare, loop_erased
 from sb3_options.experience.observations import BoolArray, FloatArray
@@ -63,7 +63,7 @@ class BagMaker:
         self._passing = PassingShare(settings.subgoal_radius)
         self._known: dict[LabelledTrajectory, Way] = {}
         self._others: list[Region] = []
-        has_cuts = settings.min_cut > 0.0 and settings.min_passing > 0.0 and filters.group is None
+        has_cuts = settings.min_passing > 0.0 and filters.group is None
         self.cuts = LocalCuts() if has_cuts else None
 
     def make(self, database: Iterable[LabelledTrajectory], others: Sequence[Region]) -> FilteredBags | None:
@@ -72,7 +72,7 @@ class BagMaker:
         positive = [t for t in database if t.success]
         if len(positive) < self.settings.min_positive:
             return None
-        self._know(database if self.settings.negative_bags else positive, others)
+        self._know(database if self.settings.negative_strength > 0 else positive, others)
         known = [self._known[t] for t in positive]
         left = self._standing_out(known)
         left["spacing"] = left[list(left)[-1]] & np.concatenate([k.far for k in known])
@@ -85,7 +85,7 @@ class BagMaker:
         return FilteredBags(positive_bags, [bag for bag in negative if len(bag)])
 
     def cuts_off(self, instance: FloatArray) -> bool:
-        """Whether an instance (d,) is known to cut off `min_cut`; with less it would be no instance."""
+        """Whether an instance (d,) is known to cut off `MIN_CUT`; with less it would be no instance."""
         return self.cuts is not None and bool(self.cuts.are_known(self.cuts.numbers(instance[None]))[0])
 
     def visited(self, labelled: LabelledTrajectory) -> None:
@@ -116,7 +116,7 @@ class BagMaker:
         return Way(labelled, rows, states[rows], scaled[rows], self.filters.allowed(labelled)[rows])
 
     def _standing_out(self, known: Sequence[Way]) -> dict[str, BoolArray]:
-        """Which states each filter leaves, one filter after the other: `min_contrast`, or `min_passing` and `min_cut`.
+        """Which states each filter leaves, one filter after the other: `min_contrast`, or `min_passing` and cuts.
 
         All ways at once, way after way: a call for each of a hundred takes longer than what it computes.
         """
@@ -134,6 +134,6 @@ class BagMaker:
             for k in known:
                 k.numbers = self.cuts.numbers(k.states) if k.numbers is None else k.numbers
             numbers = np.concatenate([k.numbers for k in known if k.numbers is not None])
-            left["min_cut"] = passages.copy()
-            left["min_cut"][passages] = self.cuts.shares(numbers[passages]) >= self.settings.min_cut
+            left["cuts"] = passages.copy()
+            left["cuts"][passages] = self.cuts.shares(numbers[passages]) >= MIN_CUT
         return left

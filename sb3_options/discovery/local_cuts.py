@@ -13,6 +13,9 @@ STEPS = 3
 MAX_STATES = 10_000
 """As many are in the graph; of states that come later nothing is known."""
 
+MIN_CUT = 0.1
+"""Least share of its surroundings that an instance cuts off: a doorway a third or more, a piece of floor nothing."""
+
 UNKNOWN = 0.5
 """The share of a state of which nothing is known: as far as anybody knows it parts its surroundings in two."""
 

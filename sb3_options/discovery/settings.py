@@ -36,18 +36,15 @@ class DiscoverySettings:
         loops: ``erase`` makes the bag of a successful trajectory of the way it took, without its loops
             (`ways.loop_erased`); ``keep`` makes it of all it visited, as the paper does.
         min_passing: Of the successful ways that come near a state, the share that must lead through it, or it is no
-            instance: nearly all that come near a doorway pass it (`ways.PassingShare`). 0 takes every state.
-        min_cut: Least share of what lies within a few steps of a state that it must cut off from the rest, or it is no
-            instance (`local_cuts.LocalCuts`). A doorway cuts off a third or more, a piece of floor nothing. Where no
-            state is visited twice, every state is taken; so it is with 0, and where ``min_passing`` is 0.
+            instance: nearly all that come near a doorway pass it (`ways.PassingShare`). Such a state must also cut off
+            its surroundings (`local_cuts.LocalCuts`). 0 takes every state.
         min_contrast: Where φ has groups of features: by how much more of the successful trajectories than of the others
             must visit a state, or it is no instance (`contrast.Contrast`).
         salient_share: Where φ has groups of features, and fewer than ``min_positive`` trajectories have succeeded: one
             that comes upon a thing which at most this share of all come upon counts as successful, up to that moment
             (`salience.Salience`). 0: none does.
-        negative_bags: Whether unsuccessful trajectories become negative bags.
-        negative_strength: η in (0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
-            Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8).
+        negative_strength: η in [0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
+            Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8); 0 goes without them.
         leak: λ in [0, 1): the probability that a trajectory succeeds without the bottleneck, because there is another
             way. Above 0, a trajectory of the other way costs a concept no more than log λ.
         search: ``gradient`` ascent from many starts, or ``exhaustive`` over the instances of positive bags.
@@ -60,8 +57,8 @@ class DiscoverySettings:
         goal_radius: The default static filter keeps subgoals farther than this from where a trajectory ended.
         decay: λ of the running averages.
         threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
-        cut_threshold: The same for a state that is known to cut off ``min_cut`` of its surroundings, because more than
-            one trajectory visited it. It is hardly an accident, so that a smaller share does.
+        cut_threshold: The same for a state that is known to cut off its surroundings, because more than one
+            trajectory visited it. It is hardly an accident, so that a smaller share does.
         peak_radius: A peak belongs to the nearest known concept within this distance.
         max_places: If the best diverse density is shared by more separate places than this, none counts as found: they
             are accidents of few or long trajectories. None sets no limit.
@@ -79,11 +76,9 @@ class DiscoverySettings:
     min_positive: Annotated[int, Field(ge=1)] = 4
     loops: Literal["erase", "keep"] = "erase"
     min_passing: Annotated[float, Field(ge=0, lt=1)] = 0.7
-    min_cut: Annotated[float, Field(ge=0, lt=0.5)] = 0.1
     min_contrast: Annotated[float, Field(ge=-1, lt=1)] = 0.3
     salient_share: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    negative_bags: bool = True
-    negative_strength: Annotated[float, Field(gt=0, le=1)] = 0.1
+    negative_strength: Annotated[float, Field(ge=0, le=1)] = 0.1
     leak: Annotated[float, Field(ge=0, lt=1)] = 0.3
     search: Literal["gradient", "exhaustive"] = "gradient"
     search_growth: Annotated[float, Field(ge=0, lt=1)] = 0.05

@@ -53,10 +53,8 @@ class UsefulnessSettings:
     """How options are judged by their use.
 
     Attributes:
-        judge: Whether they are. Otherwise every option stays as it is.
         min_reached: Share of an option's runs that must reach its subgoal from a state of I, which leaves I otherwise,
-            and that must end before `max_duration` and without failure, in [0, 1].
+            and that must end before `max_duration` and without failure, in [0, 1]; 0 judges none.
     """
 
-    judge: bool = True
     min_reached: Annotated[float, Field(ge=0, le=1)] = 0.5

@@ -61,6 +61,6 @@ def test_methods_are_told_of_failures_whatever_bags_there_are() -> None:
             return []
 
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", max_episode_steps=20), 1, gamma=0.97)
-    callback = SubgoalDiscoveryCallback({"negative_bags": False}, method=(method := Counting()))
+    callback = SubgoalDiscoveryCallback({"negative_strength": 0}, method=(method := Counting()))
     MacroQ(env, gamma=0.97, seed=0).learn(200, callback=callback)
     assert method.told == callback.episodes >= 10

@@ -123,11 +123,11 @@ def test_grouped_discovery(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("negative_bags", [True, False])
-def test_discovery_before_the_first_successes(negative_bags: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("negative_strength", [0.1, 0.0])
+def test_discovery_before_the_first_successes(negative_strength: float, tmp_path: Path) -> None:
     """Parts of failures stand for successes, and what is rare goes on to be counted."""
     soon = {"start_radius": 0.5, "goal_radius": 0.5, "min_positive": 6, "decay": 0.5, "salient_share": 0.9}
-    soon["negative_bags"] = negative_bags
+    soon["negative_strength"] = negative_strength
     callbacks, _ = check_resumes(
         lambda: model_of("MaskablePPO", vec(optioned(rooms))),
         lambda: [SubgoalDiscoveryCallback(soon, {"grow": True}, max_new_options=2)],

@@ -162,7 +162,7 @@ def test_episodes_are_those_of_the_environment_in_which_an_option_ran() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "settings"), [(Option(places, places, places), {}), (option(FINE), {"judge": False})]
+    ("given", "settings"), [(Option(places, places, places), {}), (option(FINE), {"min_reached": 0})]
 )
 def test_hand_made_options_are_not_judged_and_none_where_judging_is_off(given: Option, settings: Any) -> None:
     useful, options = judging(**settings), installed(given)

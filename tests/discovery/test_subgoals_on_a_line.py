@@ -57,9 +57,9 @@ class TestSearch:
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_negative_bags_speak_against(self, search: str) -> None:
-        for negative_bags, expected in ((True, [12.0]), (False, [5.0])):
+        for strength, expected in ((1.0, [12.0]), (0.0, [5.0])):
             discovery = Discovery(
-                settings_of(search=search, negative_bags=negative_bags, max_places=1, peak_radius=100.0)
+                settings_of(search=search, negative_strength=strength, max_places=1, peak_radius=100.0)
             )
             discovery.add(*on_a_line(0, 2, 5, 12, 20))
             discovery.add(*on_a_line(1, 3.5, 5, 12, 21))
@@ -155,11 +155,11 @@ class TestSearch:
 
         assert best(0.0) < 0 < best(0.2)
 
-    @pytest.mark.parametrize("negative_bags", [True, False])
-    def test_the_more_successes_there_are_the_rarer_are_searches(self, negative_bags: bool) -> None:
+    @pytest.mark.parametrize("strength", [0.1, 0.0])
+    def test_the_more_successes_there_are_the_rarer_are_searches(self, strength: float) -> None:
         """With a growth of a fifth, 2 new trajectories up to 10 successes, 3 up to 15. The first here is a failure."""
         never = {"threshold": 0.99, "cut_threshold": 0.99}
-        discovery = Discovery(settings_of(search_growth=0.2, negative_bags=negative_bags, **never))
+        discovery = Discovery(settings_of(search_growth=0.2, negative_strength=strength, **never))
         searched = []
         for n in range(1, 16):
             discovery.add(*on_a_line(0, 5, 20, success=n > 1))
@@ -238,7 +238,7 @@ class TestNothingToFind:
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_a_single_instance(self, search: str) -> None:
-        discovery = Discovery(settings_of(search=search, negative_bags=False))
+        discovery = Discovery(settings_of(search=search, negative_strength=0.0))
         discovery.add(*on_a_line(0, 5, 20))
         assert found(discovery) == pytest.approx([5.0], abs=1e-6)
         assert discovery.search() is None

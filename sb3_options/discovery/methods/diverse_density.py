@@ -40,7 +40,7 @@ REMEDIES = {
     "start_radius and goal_radius": "is far enough from start and goal. Lower start_radius and goal_radius.",
     "min_contrast": "they visit much more often than failures do. Lower min_contrast.",
     "min_passing": "enough of the others pass too. Lower min_passing, or pass a feature_map in which places recur.",
-    "min_cut": "cuts off enough of the other states. The task may have no bottleneck; else lower min_cut.",
+    "cuts": "cuts off enough of the other states. The task may have no bottleneck.",
     "spacing": "is far enough from the subgoals of options. Lower spacing.",
 }
 """What each filter asks of a state, and what to do where it leaves too few."""
@@ -88,7 +88,7 @@ class PersistentPeaks(Method):
         super().begin(settings, filters, groups)
         self.settings = settings
         self.filters = filters
-        self.learns_from_failures = settings.negative_bags
+        self.learns_from_failures = settings.negative_strength > 0
         self.tracker = PeakTracker(decay=settings.decay, threshold=settings.threshold, radius=settings.peak_radius)
         self.maker = BagMaker(settings, filters, self.contrast)
 
@@ -194,7 +194,7 @@ class PersistentPeaks(Method):
         exhaustive = self.settings.search == "exhaustive" or self.filters.kind == "categorical"
         return DiverseDensity(
             scale=1.0 if self.filters.scale is None else self.filters.scale,
-            negative_strength=self.settings.negative_strength,
+            negative_strength=self.settings.negative_strength or 1.0,  # with 0 there are no negative bags
             leak=self.settings.leak,
             method="exhaustive" if exhaustive else "gradient",
         )

@@ -52,7 +52,7 @@ class GroupedPeaks(Method):
         """Set up the search of each group; as `Method.begin`."""
         self.settings = settings
         self.groups = tuple(groups)
-        self.learns_from_failures = settings.negative_bags or settings.salient_share > 0
+        self.learns_from_failures = settings.negative_strength > 0 or settings.salient_share > 0
         own = replace(settings, loops="keep", min_passing=0.0)
         contrasts: dict[FeatureGroup, Contrast] = {}
         for group in sorted(groups, key=lambda group: len(group.features)):
