@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from sb3_options.options import file as option_file
+from sb3_options.options.file import opened
 from sb3_options.runs.folder import OPTIONS
 
 ROOT = Path(__file__).parents[2]
@@ -62,6 +62,6 @@ def run_folder(out: Path) -> RunFolder:
         if done.returncode:
             raise RuntimeError(f"Training failed: {done.stderr[-500:]}")
         found = sorted(out.glob(f"{ALGO}/*/{OPTIONS}"))
-    if not option_file.slots_of(found[-1]):
+    if not opened(found[-1]).slots:
         raise RuntimeError(f"The run in {found[-1].parent} discovered nothing: there is nothing to damage.")
     return RunFolder(found[-1].parent)

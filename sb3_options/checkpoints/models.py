@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -48,9 +47,10 @@ def check(model: BaseAlgorithm) -> None:
         "sb3_contrib",
         "sb3_options",
     )
-    if not known:
+    if not known or model.use_sde:
         raise ValueError(
-            f"Checkpoints of {type(model).__name__} are not supported yet; those of {', '.join(SUPPORTED)} are."
+            f"Checkpoints of {type(model).__name__} are not supported yet; those of {', '.join(SUPPORTED)} are, "
+            "without use_sde."
         )
     family_of(model).prepare_buffer()
 
@@ -70,14 +70,11 @@ def get_state(model: BaseAlgorithm) -> State:
         "elapsed": time.time_ns() - model.start_time,
         "episodes": list(model.ep_info_buffer or ()),
         "successes": list(model.ep_success_buffer or ()),
-        "action_space": _random_of(model.action_space),
+        "action_space": model.action_space.np_random.bit_generator.state,
     }
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
         state["replay_buffer"] = buffer.get_state()
-    if model.use_sde:  # the noise of the rollout that begins is drawn already
-        noise: Any = model.policy.action_dist
-        state["noise"] = noise.exploration_mat.detach(), noise.exploration_matrices.detach()
     return state
 
 
@@ -142,15 +139,12 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
         assert buffer is not None  # learn() has begun
         buffer.clear()
         buffer.extend(state[there])
-    _set_random(model.action_space, state["action_space"])
+    model.action_space.np_random.bit_generator.state = state["action_space"]
     if "replay_buffer" in state:
         replay: OptionReplayBuffer = model.replay_buffer  # type: ignore[attr-defined]  # as there
         replay.set_state(state["replay_buffer"])
         if not (whole(replay.pos, 0) and replay.pos < replay.buffer_size):
             raise ValueError(f"The checkpoint writes to row {replay.pos!r} of a buffer of {replay.buffer_size}.")
-    if model.use_sde:
-        noise: Any = model.policy.action_dist
-        noise.exploration_mat, noise.exploration_matrices = (each.to(model.device) for each in state["noise"])
 
 
 def begin_episodes(model: BaseAlgorithm) -> None:
@@ -236,11 +230,3 @@ def cut_event_files(logger: Logger, before: dict[str, int]) -> None:
 def _event_files(logger: Logger) -> list[Path]:
     has_any = any(isinstance(output, TensorBoardOutputFormat) for output in logger.output_formats)
     return sorted(Path(logger.dir).glob("*tfevents*")) if has_any and logger.dir is not None else []
-
-
-def _random_of(space: gym.Space[Any]) -> Any:
-    return space.np_random.bit_generator.state
-
-
-def _set_random(space: gym.Space[Any], state: Any) -> None:
-    space.np_random.bit_generator.state = state

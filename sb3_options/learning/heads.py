@@ -40,9 +40,8 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
     """
     n_actions = int(policy.action_space.n)
     if has_networks(policy):
-        name = next(name for name in VALUES if getattr(policy, f"{name}_target", None) is not None)
         outputs = int(getattr(networks(policy)[0], "n_quantiles", 1))
-        where = f"{name} of {type(policy).__name__}"
+        where = f"q_net or quantile_net of {type(policy).__name__}"
         return [(last_layer(network, where, n_actions * outputs), outputs) for network in networks(policy)]
     if getattr(policy, "action_net", None) is None:
         raise TypeError(
@@ -67,11 +66,8 @@ def last_layer(network: torch.nn.Module, name: str, n_outputs: int) -> torch.nn.
 
 def networks(policy: Any) -> tuple[Any, Any]:
     """The online and the target network of DQN or QRDQN."""
-    for name in VALUES:
-        online, target = getattr(policy, name, None), getattr(policy, f"{name}_target", None)
-        if online is not None and target is not None:
-            return online, target
-    raise TypeError(f"{type(policy).__name__} gives no values of actions; DQN, QRDQN and OptionDQN do.")
+    name = next(name for name in VALUES if getattr(policy, f"{name}_target", None) is not None)
+    return getattr(policy, name), getattr(policy, f"{name}_target")
 
 
 def has_networks(policy: Any) -> bool:

@@ -290,14 +290,9 @@ class MacroQ(MaskedPrediction):
                 if may_start and value > best:
                     best = value
             target += discount * best
-        table = self._table
-        if len(active) == 1:
-            index = active[0]
-            table[index, action] += self._step_size * (target - table[index, action])
-            return
         step = self._step_size / len(active) * (target - self._values(active)[action])
         for index in active:  # faster than an array of so few indices
-            table[index, action] += step
+            self._table[index, action] += step
 
     def _active(self, observations: Any) -> list[list[int]]:
         """Active features of a batch: lists, because numpy is slower than Python for a handful of numbers."""

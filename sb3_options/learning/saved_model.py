@@ -20,7 +20,7 @@ from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.learning.checks import check_wrapped
 from sb3_options.options.archive import CARRIED, Source, content_in, packed_text, unpacked_text
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.file import opened, slots_of
+from sb3_options.options.file import opened
 from sb3_options.options.option import SubgoalOption
 
 M = TypeVar("M", bound=BaseAlgorithm)
@@ -88,7 +88,7 @@ def _put(content: bytes, venv: VecEnv) -> None:
     """Put the discovered options of a file into the slots of all environments."""
     bank: OptionBank = venv.get_attr("bank", [0])[0].copy()
     bank.load(content)
-    options = {slot: bank[slot] for slot in slots_of(content)}
+    options = {slot: bank[slot] for slot in opened(content).slots}
     learned = bank.feature_map
     venv.env_method(
         "set_slots",
@@ -108,9 +108,8 @@ def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
     if text is None or (known is not None and known() is venv):
         return
     content = unpacked_text(text)
-    filled = venv.get_attr("bank", [0])[0].filled
-    loaded_and_lacking = known is None and not set(slots_of(content)) <= set(filled)
-    if loaded_and_lacking or (known is not None and not filled and opened(content).entries):
+    file, filled = opened(content), venv.get_attr("bank", [0])[0].filled
+    if (known is None and not file.slots <= set(filled)) or (known is not None and not filled and file.entries):
         _put(content, venv)
 
 

@@ -11,9 +11,8 @@ from sb3_options.atomic import atomic_write
 from sb3_options.checked import whole
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
-from sb3_options.options import file as option_file
-from sb3_options.options.archive import Source, name_of
-from sb3_options.options.file import MAX_SLOTS, SpaceSignature
+from sb3_options.options.archive import Source
+from sb3_options.options.file import MAX_SLOTS, OptionsFile, SpaceSignature, check_signature, content_of, opened
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.sealed import errors_of
 
@@ -133,29 +132,44 @@ class OptionBank:
 
     def content(self) -> bytes:
         """What `save` writes."""
-        learned = self.feature_map.arrays() if isinstance(self.feature_map, LearnedMap) else None
-        return option_file.content_of(
-            self.slots, n_primitive=self.n_primitive, signature=self.signature, feature_map=learned
-        )
+        learned = self.feature_map.arrays() if isinstance(self.feature_map, LearnedMap) else {}
+        return content_of(self.slots, self.n_primitive, self.signature, learned)
 
     def load(self, source: Source) -> None:
         """Fill the slots with the options of a file that `save` wrote, in the slots they were in.
 
         A hand-made option of the file must already be in its slot. Either everything is loaded or nothing is.
         """
-        loaded = option_file.load(
-            source,
-            self.slots,
-            n_primitive=self.n_primitive,
-            observation_size=self.observation_size,
-            feature_size=self.feature_size,
-            signature=self.signature,
-        )
+        file = opened(source)
+        with errors_of(file.name, "does not fit"):
+            self._check_fits(file)
+        loaded = file.options(observation_size=self.observation_size, feature_size=self.feature_size)
         if isinstance(self.feature_map, LearnedMap) and loaded:
-            with errors_of(name_of(source), "does not fit"):
-                self.feature_map.load(option_file.opened(source).feature_map())
+            with errors_of(file.name, "does not fit"):
+                self.feature_map.load(file.feature_map())
         for slot, option in loaded.items():
             self._put(slot, self._bound(option))
+
+    def _check_fits(self, file: OptionsFile) -> None:
+        if file.n_primitive != self.n_primitive:
+            raise ValueError(
+                f"its options choose among {file.n_primitive} primitive actions, this task has {self.n_primitive}"
+            )
+        last = max(file.slots, default=-1)
+        if last >= self.max_options:
+            raise ValueError(
+                f"it has an option in slot {last}, this bank only has {self.max_options} slots; make the wrapper with "
+                f"max_options={file.max_options}"
+            )
+        for slot, name in file.hand_made.items():
+            present = self._slots[slot]
+            if present is None or present.name != name:
+                raise ValueError(
+                    f"slot {slot} held the hand-made option {name!r}, which is code and not in the file; add it to "
+                    "the bank first"
+                )
+        if self.signature is not None and file.made_for is not None:
+            check_signature(file.made_for, self.signature, {entry.policy_input for entry in file.entries.values()})
 
     def _bound(self, option: Option) -> Option:
         if isinstance(option, SubgoalOption) and self.feature_map is not None:

@@ -11,13 +11,12 @@ import torch
 from sb3_options.density.regions import Region
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.imagined import imagined_farther
-from sb3_options.options.initiation import initiation_set
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import OptionPolicy, TabularPolicy
 from sb3_options.options.reach import reliable_part
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import Transitions, transitions_to
+from sb3_options.options.tasks import Transitions, initiation_set, transitions_to
 
 
 def learn_option(
@@ -90,11 +89,10 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
     table or they act on different things.
     """
     known, new = option.option_policy, later.option_policy
-    same = isinstance(known, TabularPolicy) and isinstance(new, TabularPolicy)
-    if not same or option.policy_input != later.policy_input:
+    if not (isinstance(known, TabularPolicy) and isinstance(new, TabularPolicy)):
         return option
-    assert isinstance(known, TabularPolicy)
-    assert isinstance(new, TabularPolicy)
+    if option.policy_input != later.policy_input:
+        return option
     rows, states, values = known.rows_for(new.states)
     values[rows] = new.values
     union = np.unique(np.concatenate([option.initiation_set.points, later.initiation_set.points]), axis=0)

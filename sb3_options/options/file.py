@@ -91,17 +91,13 @@ class About(BaseModel):
 
 
 def content_of(
-    slots: Sequence[Option | None],
-    *,
-    n_primitive: int,
-    signature: SpaceSignature | None,
-    feature_map: Arrays | None = None,
+    slots: Sequence[Option | None], n_primitive: int, signature: SpaceSignature | None, learned_map: Arrays
 ) -> bytes:
     """What a file says: the arrays of the discovered options and the names of the hand-made ones.
 
-    ``feature_map`` is what a learned map consists of, without which its options are of no use.
+    Without what a learned map consists of, its options are of no use.
     """
-    tensors: Arrays = {f"{MAP}.{name}": array for name, array in (feature_map or {}).items()}
+    tensors: Arrays = {f"{MAP}.{name}": array for name, array in learned_map.items()}
     entries: dict[str, Any] = {}
     for slot, option in enumerate(slots):
         if isinstance(option, SubgoalOption):
@@ -126,6 +122,11 @@ class OptionsFile(NamedTuple):
     made_for: SpaceSignature | None  # observations they act on; None for any
     tensors: Arrays
     digest: str  # SHA-256 of the content
+
+    @property
+    def slots(self) -> set[int]:
+        """Those it has options for."""
+        return {*self.entries, *self.hand_made}
 
     def feature_map(self) -> Arrays:
         """What its learned feature map consists of; nothing if it has none."""
@@ -154,49 +155,6 @@ def opened(source: Source) -> OptionsFile:
         entries = TypeAdapter(dict[int, Entry]).validate_python(discovered)
     sha256 = hashlib.sha256(content).hexdigest()
     return OptionsFile(name, about.n_primitive, about.max_options, entries, hand_made, about.made_for, tensors, sha256)
-
-
-def load(
-    source: Source,
-    slots: Sequence[Option | None],
-    *,
-    n_primitive: int,
-    observation_size: int | None,
-    feature_size: int | None,
-    signature: SpaceSignature | None,
-) -> dict[int, SubgoalOption]:
-    """The discovered options of `content_of`, by slot, not bound to a feature map, as `OptionBank.load`.
-
-    A hand-made option of the file must be in its slot.
-    """
-    file = opened(source)
-    with errors_of(file.name, "does not fit"):
-        if file.n_primitive != n_primitive:
-            raise ValueError(
-                f"its options choose among {file.n_primitive} primitive actions, this task has {n_primitive}"
-            )
-        for slot in (*file.entries, *file.hand_made):
-            if slot >= len(slots):
-                raise ValueError(
-                    f"it has an option in slot {slot}, this bank only has {len(slots)} slots; make the wrapper "
-                    f"with max_options={file.max_options}"
-                )
-        for slot, name in file.hand_made.items():
-            present = slots[slot]
-            if present is None or present.name != name:
-                raise ValueError(
-                    f"slot {slot} held the hand-made option {name!r}, which is code and not in the file; add it to "
-                    "the bank first"
-                )
-        if signature is not None and file.made_for is not None:
-            check_signature(file.made_for, signature, {entry.policy_input for entry in file.entries.values()})
-    return file.options(observation_size=observation_size, feature_size=feature_size)
-
-
-def slots_of(source: Source) -> list[int]:
-    """The slots that a file has options for."""
-    file = opened(source)
-    return [*file.entries, *file.hand_made]
 
 
 def _named(first: str, tensors: Arrays) -> Arrays:

@@ -193,7 +193,7 @@ def test_heads_of_a_users_own_network_are_found_by_their_shape(network: type[Any
     ("network", "message"),
     [
         (Dueling, "Policy makes something else of the outputs of the last torch.nn.Linear of its q_net"),
-        (Narrow, r"q_net of Policy must end in torch.nn.Linear\(n, 7\) with a bias, an output for each action"),
+        (Narrow, r"q_net or quantile_net of Policy must end in torch.nn.Linear\(n, 7\) with a bias"),
         (Elsewhere, "Elsewhere makes something else of the outputs of the last torch.nn.Linear of its action_net"),
     ],
 )

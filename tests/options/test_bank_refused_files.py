@@ -100,7 +100,7 @@ class TestOtherTasks:
                 r"does not fit: it has an option in slot 3, this bank only has 3 slots; make the wrapper with "
                 r"max_options=5\.$",
             ),
-            ({"max_options": 0}, r"it has an option in slot 1, this bank only has 0 slots"),
+            ({"max_options": 0}, r"it has an option in slot 3, this bank only has 0 slots"),
             (
                 {"observation_size": 2},
                 r"the option in slot 1, .*: its table has observations of shape \(30, 3\) and values of shape "

@@ -4,9 +4,8 @@ import pytest
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
-from sb3_options.options.initiation import initiation_set
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import transitions_to
+from sb3_options.options.tasks import initiation_set, transitions_to
 from tests.options.corridor import DOOR, LEFT, RIGHT, walk
 from tests.support.helpers import ball
 
