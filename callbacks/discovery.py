@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import os
 from collections.abc import Mapping
 from itertools import islice
@@ -22,7 +21,6 @@ from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
 from sb3_options.discovery.settings import DiscoverySettings
-from sb3_options.execution.above import monitor_primitive_steps
 from sb3_options.execution.slots import Traits
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.success import SuccessRule, judged, reported_success, success_rule, tell_success
@@ -31,8 +29,6 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.state import restore
-
-logger = logging.getLogger("sb3_options")
 
 SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is as many episodes
 
@@ -124,7 +120,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         venv, use, keeper = self.training_env, self.use, self._keeper
         check_training(self, None if self._installer is None else self._installer.model)
         self._start_counting()
-        monitor_primitive_steps(venv)
         self._installer = OptionInstaller(
             self.model,
             venv,
@@ -135,14 +130,15 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if keeper.features is not None:
             check_learned(self.settings, self.option_settings, own=bool(self.method or self.concepts.groups))
         if self.discovery is None:
+            traits: Traits = venv.get_attr("traits", [0])[0]
             self.discovery = Discovery(
                 self.settings,
                 self.method,
-                groups=self._groups(),
+                groups=self._groups(traits),
                 seed=self.seed,
                 success=self.success,
                 static_filter=self.concepts.static_filter,
-                kind=self._traits.feature_kind,
+                kind=traits.feature_kind,
                 taken=[each.subgoal for each in self._installer.bank.slots if isinstance(each, SubgoalOption)],
             )
         keeper.begin(self._installer, self.discovery, self.max_new_options)
@@ -151,17 +147,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         venv.env_method("set_slots", record=True, max_segment=self.settings.max_segment if peaks else None)
         self._ended = False
 
-    @property
-    def _traits(self) -> Traits:
-        traits: Traits = self.training_env.get_attr("traits", [0])[0]
-        return traits
-
-    def _groups(self) -> tuple[FeatureGroup, ...]:
-        """The groups of features to search: those given, or else those that the environment or φ names."""
-        given: Any = self.concepts.groups
-        groups = self._traits.feature_groups if given is None else given
-        size = self._traits.feature_size
-        return tuple(groups) if size is None else checked_groups(groups, size)
+    def _groups(self, traits: Traits) -> tuple[FeatureGroup, ...]:
+        """The groups of features to search: those of the settings, or else those that the environment or φ names."""
+        groups = traits.feature_groups if self.concepts.groups is None else self.concepts.groups
+        return groups if traits.feature_size is None else checked_groups(groups, traits.feature_size)
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
@@ -210,18 +199,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             steps = f"{self.num_timesteps:,}"
             print(f"Option {made.slot}: reach {made.where}, after {self.episodes} episodes and {steps} steps")
         save_or_warn(self._keeper.options.bank, self.save_path)
-        self.draw()
+        draw_discovery(self.logger, self._keeper)
 
     def _close_option(self, slot: int, why: Verdict) -> None:
         self._keeper.close(ClosedOption(slot, self.episodes, self.num_timesteps, why))
-        text = f"Option {slot} {why} and is closed, after {self.episodes} episodes"
-        logger.info("%s.", text)
         if self.verbose:
-            print(text)
-
-    def draw(self) -> None:
-        """Draw discovery for TensorBoard, with the next dump of the log."""
-        draw_discovery(self.logger, self._keeper)
+            print(f"Option {slot} {why} and is closed, after {self.episodes} episodes")
 
     def why_nothing(self) -> str | None:
         """Why no option was made since training started; None where one was."""
@@ -242,7 +225,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         super()._on_training_end()
         if self.closed or len(self.bank):  # without those that were closed, and as the others are now
             save_or_warn(self._keeper.options.bank, self.save_path)
-        self.draw()
+        draw_discovery(self.logger, self._keeper)
         if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:
             print(why)
         self.logger.record("time/primitive_steps", self.num_timesteps)

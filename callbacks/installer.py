@@ -53,7 +53,8 @@ class OptionInstaller:
         for eval_env in self.eval_envs:
             watch_workers(eval_env)
             check_same_slots(venv, eval_env)
-            monitor_primitive_steps(eval_env)
+        for each in (venv, *self.eval_envs):
+            monitor_primitive_steps(each)
         self.family = family_of(model)
         self.buffer = self.family.replay_buffer
         self.opening_share = max_option_exploration

@@ -101,10 +101,10 @@ class PrimitiveStepsCallback(BaseCallback):
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # a custom SMDP environment; its infos are checked in _on_step
         check_options(self.model, self.training_env)
-        for venv in (self.training_env, *evaluation_envs(self.locals.get("callback"))):
-            monitor_primitive_steps(venv)
-        if self._installs:
+        if self._leads:
             self._installer = OptionInstaller(self.model, self.training_env, None, open_untrained=False)
+            for venv in evaluation_envs(self.locals.get("callback")):
+                monitor_primitive_steps(venv)
 
     def _start_counting(self) -> None:
         watch_workers(self.training_env)
@@ -113,10 +113,8 @@ class PrimitiveStepsCallback(BaseCallback):
         if self.primitive_rollouts and self._rollout_buffer is not None:
             self._rollouts = PrimitiveRollouts(self.model, self._rollout_buffer)
         ours = [c for c in all_callbacks(self.locals.get("callback")) if isinstance(c, PrimitiveStepsCallback)]
-        first = ours[0] if ours else self
-        self._counts = first is self
-        # Where options are discovered, that callback looks after them; its class is defined on top of this module.
-        self._installs = next((each for each in ours if hasattr(each, "discoveries")), first) is self
+        # Of several the one that discovers options counts; its class is defined on top of this module.
+        self._leads = max(ours or [self], key=lambda each: hasattr(each, "discoveries")) is self
         self._updates_before = self._n_updates()
         self._budget = math.inf
         if self._rollout_buffer is not None:
@@ -145,7 +143,7 @@ class PrimitiveStepsCallback(BaseCallback):
 
     def _count(self, runs: list[OptionRun]) -> bool:
         """Count what one step of every environment ran; whether training goes on."""
-        if self._counts:
+        if self._leads:
             self._count_inner_steps(runs)
             if hasattr(self.training_env.unwrapped, "lost_actors"):  # a RayVecEnv
                 self.logger.record("time/lost_actors", self.training_env.unwrapped.lost_actors)
