@@ -192,7 +192,7 @@ class OptionInstaller:
 
     def _install_now(self, slot: int, option: Option, *, present: bool = False) -> None:
         self._send(slot, option, present=present)
-        if not self.family.has_heads:
+        if not isinstance(self.family, Networks):
             return
         action = self.n_primitive + slot
         if heads.is_closed(self.model.policy, action):

@@ -20,7 +20,6 @@ from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, is_vecenv_wr
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.learning import heads
 from sb3_options.learning.macro_q import MacroQ
-from sb3_options.learning.masked import MaskedPrediction
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 logger = logging.getLogger("sb3_options")
@@ -35,21 +34,12 @@ KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
 class Family:
     """An algorithm without network heads and buffer."""
 
-    has_heads: ClassVar[bool] = False  # whether each action has outputs of a network, closed while its slot is empty
     has_rollouts: ClassVar[bool] = False  # whether it learns from rollouts, and so from probabilities of actions
+    waits_for_rollout: ClassVar[bool] = False  # whether options are installed between rollouts only
     step_seconds: ClassVar[float] = STEP_SECONDS  # of training, for a primitive step, nominal
-    masks: bool = False  # whether it chooses among available options only
 
     def __init__(self, model: Any) -> None:
         self.model = model
-
-    @property
-    def waits_for_rollout(self) -> bool:
-        """Whether options are installed between rollouts only, because updates use the probabilities that actions had.
-
-        Masks are stored with the rollout, so a masked head may open at any time.
-        """
-        return self.has_rollouts and not self.masks
 
     @property
     def replay_buffer(self) -> OptionReplayBuffer | None:
@@ -75,7 +65,6 @@ class Table(Family):
     """`MacroQ`: values in a table, updated after every step."""
 
     step_seconds = TABLE_STEP_SECONDS
-    masks = True
 
     def check(self, venv: VecEnv) -> None:
         """Refuse ``VecNormalize``."""
@@ -98,9 +87,7 @@ class Table(Family):
 
 
 class Networks(Family):
-    """Base of the families whose policy is a network with an output for each action."""
-
-    has_heads = True
+    """Base of the families whose policy is a network with outputs for each action, closed while a slot is empty."""
 
     def check(self, venv: VecEnv) -> None:
         """Refuse heads that cannot be closed."""
@@ -157,10 +144,6 @@ class Networks(Family):
 class ValueBased(Networks):
     """DQN, QRDQN, `OptionDQN`: networks of action values, and a replay buffer."""
 
-    def __init__(self, model: Any) -> None:
-        super().__init__(model)
-        self.masks = isinstance(model, MaskedPrediction)
-
     @property
     def replay_buffer(self) -> OptionReplayBuffer | None:
         """Where γᵏ and the steps inside options are stored."""
@@ -190,18 +173,13 @@ class ValueBased(Networks):
         """Also refuse stacked frames that could not be stored, and a clip of sums of rewards."""
         super().check(venv)
         normalizer, name = self.model.get_vec_normalize_env(), type(self.model).__name__
-        if is_vecenv_wrapped(venv, VecFrameStack):
-            if normalizer is not None and not is_vecenv_wrapped(normalizer, VecFrameStack):
-                raise ValueError(
-                    f"VecFrameStack stands above VecNormalize, and {name} stores what VecNormalize was given, which is "
-                    "not stacked: use VecNormalize(VecFrameStack(venv, n))."
-                )
-            if self.replay_buffer is not None and self.replay_buffer.macro_q:
-                raise ValueError(
-                    "The steps inside options are never stacked by VecFrameStack, so that Macro-Q cannot learn from "
-                    f"them: pass {name}(..., replay_buffer_kwargs={{'macro_q': False}}), or stack beneath the options: "
-                    "OptionsWrapper(FrameStackObservation(env, n))."
-                )
+        macro_q = self.replay_buffer is not None and self.replay_buffer.macro_q
+        if macro_q and is_vecenv_wrapped(venv, VecFrameStack):
+            raise ValueError(
+                "The steps inside options are never stacked by VecFrameStack, so that Macro-Q cannot learn from them: "
+                f"pass {name}(..., replay_buffer_kwargs={{'macro_q': False}}), or stack beneath the options: "
+                "OptionsWrapper(FrameStackObservation(env, n))."
+            )
         # A replay buffer stores sums, and normalises them when they are drawn, with the σ of that time.
         if normalizer is not None and normalizer.norm_reward and np.isfinite(normalizer.clip_reward):
             raise ValueError(
@@ -238,9 +216,13 @@ class ValueBased(Networks):
 
 
 class Sampled(Networks):
-    """PPO, A2C, TRPO: actions are drawn from a policy's probabilities, and learned from in rollouts."""
+    """PPO, A2C, TRPO: actions are drawn from a policy's probabilities, and learned from in rollouts.
+
+    An update uses the probabilities that the actions had, so no head may open within a rollout.
+    """
 
     has_rollouts = True
+    waits_for_rollout = True
 
     def outputs(self, batch: Any) -> torch.Tensor:
         """Logarithms of the probabilities."""
@@ -259,9 +241,9 @@ class Sampled(Networks):
 
 
 class Masked(Sampled):
-    """MaskablePPO: probabilities of the available actions."""
+    """MaskablePPO: probabilities of the available actions. Masks are stored, so a head may open at any time."""
 
-    masks = True
+    waits_for_rollout = False
 
     def widen(self, actions: spaces.Discrete) -> None:
         """The rollout buffer stores masks of the wider space."""
