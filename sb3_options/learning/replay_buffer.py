@@ -329,8 +329,6 @@ class OptionReplayBuffer(ReplayBuffer):
         self.pos, self.full = state["counters"]
         self._note_change(np.s_[:])
         for column, rows in zip(self._columns(), state["columns"], strict=True):
-            if rows.shape[1:] != column.shape[1:]:
-                raise ValueError(f"The checkpoint has rows of shape {rows.shape[1:]}, the buffer {column.shape[1:]}.")
             column[: len(rows)] = rows
         if self._successors is not None:
             self._successors.set_state(state["successors"])
