@@ -36,7 +36,7 @@ class RandomGrouped(GroupedPeaks):
         if self._n_successful < self.settings.min_positive:
             return []
         places = {group: self._drawable(member, experience) for group, member in self.members.items()}
-        able = [group for group in self.groups if len(places[group])]
+        able = [group for group in self.members if len(places[group])]
         if not able:
             return []
         group = able[self._random.integers(len(able))]

@@ -119,11 +119,9 @@ def first_rows(points: FloatArray) -> IntArray:
 
 def real_array(name: str, values: ArrayLike) -> FloatArray:
     """Real numbers in double precision; refuses what would be dropped in silence, as parts of complex ones."""
-    if np.ma.is_masked(values):
-        raise ValueError(f"{name} has masked values: leave out the instances that hold them, or fill them in")
     array = np.asarray(values)
-    if array.dtype.kind not in "biuf":
-        raise ValueError(f"{name} must hold real numbers, got {array.dtype}")
+    if array.dtype.kind not in "biuf" or np.ma.is_masked(values):
+        raise ValueError(f"{name} must hold real numbers, none of them masked, got {array.dtype}")
     return array.astype(np.float64)
 
 

@@ -113,12 +113,9 @@ class FeatureGroup:
 
 
 def checked_groups(groups: Iterable[FeatureGroup], n_features: int) -> tuple[FeatureGroup, ...]:
-    """The groups themselves; a ValueError if one names an unknown feature, or two have the same name."""
+    """The groups themselves; a ValueError if one names an unknown feature."""
     groups = tuple(groups)
     for group in groups:
         for each in (group, group.sees):
             each.own(np.zeros((0, n_features)))
-    names = [group.name for group in groups]
-    if len(set(names)) < len(names):
-        raise ValueError(f"two groups of features have the same name: {sorted(names)}")
     return groups

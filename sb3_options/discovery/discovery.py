@@ -268,13 +268,11 @@ class Discovery:
     def learn_if_due(self, learner: FeatureLearner) -> bool:
         """Learn on the feature map of all features, if it is due; whether it has changed."""
         n, n_steps = self.diary.n, self.diary.steps
-        trajectories = [labelled.trajectory for labelled in self.database]
-        if learner.map.fixed or not learner.is_due(n, n_steps) or not learner.can_learn(trajectories):
-            return False
-        if not learner.learn(trajectories, n, n_steps):
-            return False
-        self.embed_again(learner.map)
-        return True
+        due = not learner.map.fixed and learner.is_due(n, n_steps)
+        changed = due and learner.learn([labelled.trajectory for labelled in self.database], n, n_steps)
+        if changed:
+            self.embed_again(learner.map)
+        return changed
 
     def embed_again(self, feature_map: FeatureMap) -> None:
         """Go on in the space of another feature map, which must make as many features.

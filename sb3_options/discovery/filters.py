@@ -101,11 +101,13 @@ class Filters:
 
     def may_be_subgoals(self, labelled: LabelledTrajectory, others: Sequence[Region]) -> BoolArray:
         """Which states of a trajectory the static filter leaves far from other subgoals, (m,)."""
-        states, allowed = self.own(labelled), self.allowed(labelled)
-        if not others:
-            return allowed
-        way = Way(labelled, np.arange(len(states)), states, states * self.known_scale, allowed)
-        return allowed & self.far_from(way, others)
+        way = self._whole(labelled)
+        return way.allowed & self.far_from(way, others)
+
+    def _whole(self, labelled: LabelledTrajectory) -> Way:
+        """All states of a trajectory."""
+        states = self.own(labelled)
+        return Way(labelled, np.arange(len(states)), states, states * self.known_scale, self.allowed(labelled))
 
     def far_from(self, way: Way, others: Sequence[Region]) -> BoolArray:
         """Which states of a way are farther than `spacing` from other subgoals, (k,)."""
@@ -131,9 +133,7 @@ class Filters:
         if len(goal.points) and any(np.array_equal(goal.points[:1], other.points[:1]) for other in others):
             return False
         for labelled in reversed(list(database)):
-            at = np.flatnonzero(goal.contains(labelled.features))
-            if len(at):
-                visited = [np.flatnonzero(other.contains(labelled.features)) for other in others]
-                visits = labelled.trajectory.visits
-                return all(steps_from(rows, visits)[at].min() > spacing for rows in visited if len(rows))
+            there = goal.contains(labelled.features)
+            if there.any():
+                return bool(self.far_from(self._whole(labelled), others)[there].all())
         return True

@@ -85,10 +85,6 @@ class FeatureLearner:
             return n_steps >= self._goes_on_at
         return n_trajectories >= max(FIRST_TRAJECTORIES, 2 * self.n_trajectories)
 
-    def can_learn(self, trajectories: Iterable[Trajectory]) -> bool:
-        """Whether any step of these leads to another observation."""
-        return any((t.visits[1:] != t.visits[:-1]).any() for t in trajectories)
-
     def learn(self, trajectories: Iterable[Trajectory], n_trajectories: int, n_steps: int) -> bool:
         """Take gradient steps on pairs of the saved trajectories, oldest first, for `PAUSE_SECONDS`.
 
@@ -97,12 +93,12 @@ class FeatureLearner:
         map stays as it is.
 
         Returns:
-            Whether the map has changed.
+            Whether the map has changed. It does not where no step leads to another observation.
         """
         replay = Replay(trajectories, self.map.encoder.form)
         before, after = replay.steps()
         if len(before) == 0:
-            raise ValueError("a feature map can be learned only where a step leads to another observation")
+            return False
         if not self.done:
             self._encoder.load_state_dict(self.map.encoder.state_dict())
             if not self.map.learned:

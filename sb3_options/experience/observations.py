@@ -29,13 +29,19 @@ def batch_size(observations: Observations) -> int:
     return len(observations)
 
 
+def _of_each(function: Callable[[npt.NDArray[Any]], Any], observation: Any) -> Any:
+    """A function of an array, or of each array of a dictionary."""
+    if isinstance(observation, np.ndarray):
+        return function(observation)
+    if isinstance(observation, Mapping):
+        return {key: function(np.asarray(value)) for key, value in observation.items()}
+    return function(np.asarray(observation))
+
+
 def batch_of_one(observation: Any) -> Observations:
     """One observation, as an environment returns it, → a batch of shape (1, ...)."""
-    if isinstance(observation, np.ndarray):
-        return observation[None]
-    if isinstance(observation, Mapping):
-        return {key: np.asarray(value)[None] for key, value in observation.items()}
-    return np.asarray(observation)[None]
+    batch: Observations = _of_each(lambda array: array[None], observation)
+    return batch
 
 
 def stack(observations: list[Any]) -> Observations:
@@ -47,9 +53,7 @@ def stack(observations: list[Any]) -> Observations:
 
 def take(observations: Observations, indices: IntArray | slice | int) -> Any:
     """The observations at ``indices``, in that order, as a batch; at a single index one observation."""
-    if isinstance(observations, Mapping):
-        return {key: value[indices] for key, value in observations.items()}
-    return observations[indices]
+    return _of_each(lambda array: array[indices], observations)
 
 
 def concatenate(batches: Sequence[Observations]) -> Observations:
@@ -62,11 +66,7 @@ def concatenate(batches: Sequence[Observations]) -> Observations:
 
 def copy_of(observation: Any) -> Any:
     """A copy of one observation: some environments write every observation into the same array."""
-    if isinstance(observation, np.ndarray):
-        return observation.copy()
-    if isinstance(observation, Mapping):
-        return {key: np.array(value) for key, value in observation.items()}
-    return np.array(observation)
+    return _of_each(np.array, observation)
 
 
 def key_of(observation: Any) -> bytes:

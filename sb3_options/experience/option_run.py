@@ -95,19 +95,13 @@ def _completed(option: Any) -> OptionRun:
             'There is no info["option"]: wrap the environment in OptionsWrapper, or, if its actions have durations of '
             'their own, let its step leave info["option"] = {"index": -1, "duration": k, "discount": gamma**k}.'
         )
-    if not isinstance(option, Mapping):
+    is_dict = isinstance(option, Mapping)
+    k, discount = (_number(option.get(name)) if is_dict else None for name in ("duration", "discount"))
+    if not (isinstance(k, Real) and isinstance(discount, Real) and float(k) > 0 and 0 <= float(discount) <= 1):
         raise ValueError(
-            'info["option"] must be a dict with "duration" and "discount", as OptionsWrapper leaves it, got '
-            f"{option!r}: if it means something else in this environment, give it another name there."
-        )
-    k = _number(option.get("duration"))
-    discount = _number(option.get("discount"))
-    numbers = isinstance(k, Real) and isinstance(discount, Real)
-    if not (numbers and float(k) > 0 and 0 <= float(discount) <= 1):
-        raise ValueError(
-            'info["option"] must have a positive "duration" in primitive steps and a "discount" between 0 and 1, got '
-            f"duration {k!r} and discount {discount!r}: let the environment's step leave "
-            '{"index": -1, "duration": k, "discount": gamma**k}.'
+            'info["option"] must be a dict with a positive "duration" in primitive steps and a "discount" between 0 '
+            f"and 1, got {option!r:.200}: let the environment's step leave "
+            '{"index": -1, "duration": k, "discount": gamma**k}, or give what it leaves there another name.'
         )
     known = {name: option[name] for name in OptionRun._fields if name in option}
     known |= {"duration": k, "discount": discount}

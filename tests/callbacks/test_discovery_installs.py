@@ -117,7 +117,6 @@ def test_other_observations(observation: str) -> None:
     [
         ([{"name": "a", "features": [7]}], "7"),
         ([{"name": "a", "features": [0], "present": [[7]]}], "present must be sets of its features"),
-        ([{"name": "a", "features": [0]}, {"name": "a", "features": [1]}], "two groups of features have the same name"),
     ],
 )
 def test_groups_that_do_not_fit_are_refused_before_the_first_step(groups: list[Any], message: str) -> None:

@@ -78,8 +78,6 @@ def test_what_options_see_begins_with_the_groups_own_features() -> None:
         checked_groups([FeatureGroup("door", [1], seen=FeatureGroup("door, and the cell ahead", [1, 3]))], 3)
 
 
-def test_groups_must_fit_the_feature_map_and_have_names_of_their_own() -> None:
+def test_groups_must_fit_the_feature_map() -> None:
     with pytest.raises(ValueError, match="group 'door' names feature 3, the feature map gives 3"):
         checked_groups([DOOR], 3)
-    with pytest.raises(ValueError, match="two groups of features have the same name"):
-        checked_groups([DOOR, DOOR], 4)

@@ -108,11 +108,8 @@ def test_due_at_first_and_at_every_doubling() -> None:
 
 def test_where_nothing_moves_nothing_can_be_learned() -> None:
     learner = FeatureLearner(LearnedMap(ObservationForm("table", (N,))), EmbeddingSettings())
-    still = [path_through([3, 3, 3])]
-    assert not learner.can_learn(still)
-    assert learner.can_learn([path_through([3, 3, 4])])
-    with pytest.raises(ValueError, match=r"^a feature map can be learned only where a step leads to another observ"):
-        learner.learn(still, 1, 0)
+    assert not learner.learn([path_through([3, 3, 3])], 1, 0)
+    assert (learner.done, learner.map.learned) == (0, 0)
 
 
 def corridor(unit: float) -> list[Trajectory]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import ClassVar
 
 import numpy as np
@@ -31,9 +32,9 @@ class CandidateMethod(Method):
         self._points: FloatArray = np.zeros((0, 0))
         self._counts: FloatArray = np.zeros((0, 3))  # seen, candidate, and whether it may be a subgoal
 
+    @abstractmethod
     def _accepted(self, seen: FloatArray, hits: FloatArray) -> FloatArray:
         """By how much places are accepted, (n,), that were seen and were candidates so often; positive where any is."""
-        raise NotImplementedError
 
     def _counted(self, experience: Experience, seen: IntArray, hits: IntArray) -> list[Region]:
         """Count how often each place of a trajectory was seen and was a candidate; then the accepted ones, best first.

@@ -34,7 +34,7 @@ class GroupedPeaks(Method):
         members: The search of each group.
     """
 
-    STATE: ClassVar[tuple[str, ...]] = ("_members", "_leading", "_searched", "_n_successful", "_n_standing")
+    STATE: ClassVar[tuple[str, ...]] = ("members", "_leading", "_searched", "_n_successful", "_n_standing")
 
     needs_success = True
     searches = True
@@ -42,7 +42,7 @@ class GroupedPeaks(Method):
 
     def __init__(self) -> None:
         self._contrasts: list[Contrast] = []  # of the smaller groups first, for each is compared with its parts
-        self._members: list[PersistentPeaks] = []
+        self.members: dict[FeatureGroup, PersistentPeaks] = {}
         self._leading = 0
         self._searched = 0
         self._n_successful = 0
@@ -51,7 +51,6 @@ class GroupedPeaks(Method):
     def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup]) -> None:
         """Set up the search of each group; as `Method.begin`."""
         self.settings = settings
-        self.groups = tuple(groups)
         self.learns_from_failures = settings.negative_strength > 0 or settings.salient_share > 0
         own = replace(settings, loops="keep", min_passing=0.0)
         contrasts: dict[FeatureGroup, Contrast] = {}
@@ -60,14 +59,14 @@ class GroupedPeaks(Method):
             radius = own.subgoal_radius / (own.scale or 1.0)
             contrasts[group] = Contrast(group, radius, parts)
         self._contrasts = list(contrasts.values())
-        self._members = [PersistentPeaks(contrasts[group]) for group in groups]
-        for group, member in zip(groups, self._members, strict=True):
+        self.members = {group: PersistentPeaks(contrasts[group]) for group in groups}
+        for group, member in self.members.items():
             member.begin(own, Filters(own, filters.static_filter, filters.kind, group))
 
     @property
-    def members(self) -> dict[FeatureGroup, PersistentPeaks]:
-        """The search of each group."""
-        return dict(zip(self.groups, self._members, strict=True))
+    def _leader(self) -> PersistentPeaks:
+        """The search of the group whose concept has the largest average."""
+        return list(self.members.values())[self._leading]
 
     def is_due(self, database: TrajectoryDatabase) -> bool:
         """Whether enough trajectories have succeeded since the last search."""
@@ -89,20 +88,20 @@ class GroupedPeaks(Method):
                 contrast.update(trajectories)
                 n, n_states = len(trajectories), contrast.n_states
                 self._cost += nominal_seconds(contrast=1, compared=n, cell=n_states * (n + n_states))
-            for member in self._members:
+            for member in self.members.values():
                 assert member.contrast is not None  # each has one
                 if member.contrast.largest() >= self.settings.min_contrast:
                     member.search(experience)
                     self._cost += member.seconds(experience)
                 else:
                     member.maker.emptied_by = "min_contrast"
-        averages = [member.tracker.leading_average() for member in self._members]
+        averages = [member.tracker.leading_average() for member in self.members.values()]
         self._leading = int(np.argmax(averages))
         return self.proposals(experience)
 
     def proposals(self, experience: Experience) -> list[Region]:
         """Of the first group that has any. The others come with later searches."""
-        return next((found for each in self._members if (found := each.proposals(experience.database))), [])
+        return next((found for each in self.members.values() if (found := each.proposals(experience.database))), [])
 
     def accept(self, goal: Region) -> float:
         """Start the running averages of its group again; as `Method.accept`."""
@@ -111,7 +110,7 @@ class GroupedPeaks(Method):
 
     def values(self) -> dict[str, float]:
         """Of the group whose concept has the largest average."""
-        return self._members[self._leading].values()
+        return self._leader.values()
 
     def n_successes(self, diary: Diary) -> int:
         """Successes in the database, with the failures that stand for some."""
@@ -119,6 +118,6 @@ class GroupedPeaks(Method):
 
     def why_nothing(self, diary: Diary) -> str:
         """Why it proposed nothing, where it might have."""
-        why = self._members[self._leading].why_nothing(diary, self._n_successful)
+        why = self._leader.why_nothing(diary, self._n_successful)
         n = self._n_standing
         return f"{why} Failures that stand for successes (salient_share): {n}." if n else why

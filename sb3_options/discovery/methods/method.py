@@ -124,7 +124,7 @@ class DiscoveryMethod(Protocol):
         ...
 
 
-class Method:
+class Method(DiscoveryMethod):
     """A `DiscoveryMethod` of the library, with what ``Discovery`` asks besides.
 
     Attributes:
@@ -160,10 +160,6 @@ class Method:
     def is_due(self, database: TrajectoryDatabase) -> bool:
         """Whether a method that searches has enough new trajectories."""
         return True
-
-    def update(self, experience: Experience) -> Sequence[Region]:
-        """Propose; as `DiscoveryMethod.update`."""
-        raise NotImplementedError
 
     def seconds(self, experience: Experience) -> float:
         """Nominal seconds of the last update."""
