@@ -40,7 +40,7 @@ def density_map(world: GridWorld, discovery: Discovery) -> FloatArray | None:
     y, x = np.nonzero(~world.walls)
     points = np.stack([x, y], axis=1).astype(np.float64)
     scales = np.broadcast_to(discovery.scale, points.shape)
-    strength = discovery.settings.negative_strength
+    strength = discovery.settings.negative_strength or 1.0  # with 0 there are no negative bags
     values = np.full(world.walls.shape, np.nan)
     values[y, x] = log_diverse_density(points, scales.copy(), bags, negative_strength=strength).numpy()
     floored: FloatArray = np.maximum(values, LOWEST_LOG_DENSITY)
@@ -63,7 +63,7 @@ def discovery_of(
 ) -> Discovery:
     """Discovery that has seen these trajectories, and not searched."""
     how = settings.discovery(negative_strength=negative_strength, loops=loops)
-    discovery = Discovery(how, success=success)
+    discovery = Discovery(how, settings.method() if loops else None, success=success)
     for labelled in trajectories:
         discovery.add(labelled.trajectory, labelled.features)
     return discovery

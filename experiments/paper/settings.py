@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from experiments.common.documents import described
+from experiments.common.few_peaks import FewPeaks
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.options.settings import OptionLearningSettings
 
@@ -37,7 +38,6 @@ class PaperSettings:
     min_positive: int = 8
     max_places: int = 1
     max_extent: float = 2.0
-    peak_radius: float = 1.5
     search: Literal["exhaustive", "gradient"] = "exhaustive"
 
     initiation_steps: int = 50
@@ -66,13 +66,7 @@ class PaperSettings:
             negative_strength: η of negative bags; None goes without them.
             loops: The paper's bags and diverse density; else the library's own, without loops, of passages only.
         """
-        bags: dict[str, Any] = {
-            "loops": "keep",
-            "min_passing": 0.0,
-            "leak": 0.0,
-            "max_places": self.max_places,
-            "max_extent": self.max_extent,
-        }
+        bags: dict[str, Any] = {"loops": "keep", "min_passing": 0.0, "leak": 0.0}
         return DiscoverySettings(
             **(bags if loops else {}),
             capacity=max(self.trials, self.negative_trials),
@@ -85,8 +79,11 @@ class PaperSettings:
             goal_radius=self.goal_radius,
             decay=self.decay,
             threshold=self.threshold,
-            peak_radius=self.peak_radius,
         )
+
+    def method(self) -> FewPeaks:
+        """What tells bottlenecks from accidents in the paper's bags."""
+        return FewPeaks(self.max_places, self.max_extent)
 
     def option(self) -> OptionLearningSettings:
         """How options are made."""
@@ -121,7 +118,6 @@ IN_PAPER: dict[str, str | None] = {
     "min_positive": None,
     "max_places": None,
     "max_extent": None,
-    "peak_radius": None,
     "search": "§4: exhaustive",
     "initiation_steps": "§5: n, no value",
     "replay_sweeps": None,

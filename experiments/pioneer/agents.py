@@ -11,6 +11,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from experiments.common.agents import wrapper_of
+from experiments.common.few_peaks import FewPeaks
 from experiments.common.playing import greedy_episodes
 from experiments.common.seeds import Result
 from experiments.pioneer.settings import PioneerSettings
@@ -91,6 +92,7 @@ def discoverer(settings: PioneerSettings, seed: int, *, max_new_options: int) ->
     return SubgoalDiscoveryCallback(
         settings.discovery(),
         settings.option(),
+        method=FewPeaks(max_places=2),
         concepts={"static_filter": ball_in_sight},
         max_new_options=max_new_options,
         seed=seed,

@@ -47,7 +47,6 @@ class PioneerSettings:
     threshold: float = 0.6
     gaussian_width: float = math.radians(5)
     min_positive: int = 8
-    peak_radius: float = 1.5
 
     policy_input: Literal["observation", "features"] = "features"
     subgoal_radius: float = 1.0
@@ -67,14 +66,12 @@ class PioneerSettings:
             loops="keep",
             min_passing=0.0,
             leak=0.0,
-            max_places=2,
             search="exhaustive",
             search_growth=0.0,
             max_share=None,  # a step of the robot takes much longer than is assumed for a table
             scale=1 / self.gaussian_width,
             decay=self.decay,
             threshold=self.threshold,
-            peak_radius=self.peak_radius,
             subgoal_radius=self.subgoal_radius,
         )
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from experiments.common.few_peaks import FewPeaks
 from experiments.common.gridworlds import NEAR, world_of
 from experiments.common.seeds import Result
 from experiments.methods.left_out import LEFT_OUT
 from experiments.random_walks.maps import random_map
 from sb3_options.discovery.discovery import Discovery
+from sb3_options.discovery.methods import Method
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs import GridWorld
@@ -122,8 +125,11 @@ def run(task: str, changed: dict[str, Any], seed: int, n_episodes: int | None = 
     world, rng = world_for(task, seed), np.random.default_rng(seed)
     seen = Positions(world, noise, seed)
     name = changed.get("method")
-    own = LEFT_OUT[name]() if name in LEFT_OUT else None
-    settings = DiscoverySettings(**{key: value for key, value in changed.items() if own is None or key != "method"})
+    own: Method | None = LEFT_OUT[name]() if name in LEFT_OUT else None
+    if "cut_threshold" in changed:
+        own = FewPeaks(changed.get("max_places", math.inf))
+    of_own = {"method", "max_places", "cut_threshold"} if own is not None else set()
+    settings = DiscoverySettings(**{key: value for key, value in changed.items() if key not in of_own})
     discovery = Discovery(settings, own, kind="environment")
     found: list[dict[str, Any]] = []
     instances: FloatArray = np.zeros((0, 2))

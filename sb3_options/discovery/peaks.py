@@ -11,6 +11,9 @@ from scipy.spatial.distance import cdist
 from sb3_options.experience.observations import FloatArray
 from sb3_options.state import storable
 
+PEAK_RADIUS = 1.5
+"""Peaks within this distance, in scaled units, touch; and a peak belongs to the nearest concept within it."""
+
 MOST_TIED = 1000
 """Peaks that tie, or places that were visited equally often, are no subgoals if they are more than this."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal
 
 import numpy as np
@@ -57,13 +56,6 @@ class DiscoverySettings:
         goal_radius: The default static filter keeps subgoals farther than this from where a trajectory ended.
         decay: λ of the running averages.
         threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
-        cut_threshold: The same for a state that is known to cut off its surroundings, because more than one
-            trajectory visited it. It is hardly an accident, so that a smaller share does.
-        peak_radius: A peak belongs to the nearest known concept within this distance.
-        max_places: If the best diverse density is shared by more separate places than this, none counts as found: they
-            are accidents of few or long trajectories. None sets no limit.
-        max_extent: A plateau of tied peaks that reaches farther than this from its middle is open space that all
-            trajectories happened to cross, no bottleneck: a search whose best peaks include one finds nothing.
         subgoal_radius: The subgoal is everything within this distance of the persistent peak.
         spacing: A new subgoal must be farther than this from those that have an option.
     """
@@ -87,10 +79,6 @@ class DiscoverySettings:
     goal_radius: Annotated[float, Field(ge=0)] = 2.0
     decay: Annotated[float, Field(gt=0, lt=1)] = 0.75
     threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6
-    cut_threshold: Annotated[float, Field(ge=0, lt=1)] = 0.4
-    peak_radius: Annotated[float, Field(ge=0)] = 1.5
-    max_places: Annotated[int, Field(ge=1)] | None = None
-    max_extent: Annotated[float, Field(ge=0)] = math.inf
     subgoal_radius: Annotated[float, Field(ge=0)] = 0.5
     spacing: Annotated[float, Field(ge=0)] = 3.0
 

@@ -52,10 +52,10 @@ class TestScale:
 
 
 OUT_OF_RANGE: dict[str, tuple[Any, ...]] = {
-    **dict.fromkeys(("capacity", "min_positive", "max_places", "max_segment"), (0, -1, 2.5, math.nan)),
-    **dict.fromkeys(("start_radius", "goal_radius", "peak_radius", "max_extent"), (-0.1, math.nan)),
+    **dict.fromkeys(("capacity", "min_positive", "max_segment"), (0, -1, 2.5, math.nan)),
+    **dict.fromkeys(("start_radius", "goal_radius"), (-0.1, math.nan)),
     **dict.fromkeys(("subgoal_radius", "spacing"), (-0.1, math.nan)),
-    **dict.fromkeys(("cut_threshold", "search_growth", "leak", "min_passing"), (-0.1, 1.0, math.nan)),
+    **dict.fromkeys(("search_growth", "leak", "min_passing"), (-0.1, 1.0, math.nan)),
     **dict.fromkeys(("salient_share", "threshold"), (-0.1, 1.0, math.nan)),
     "negative_strength": (-0.5, 1.5, math.nan),
     "max_share": (0.0, -0.5, 1.5, math.nan),

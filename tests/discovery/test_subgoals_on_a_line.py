@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments.common.few_peaks import FewPeaks
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import described
 from sb3_options.experience.success import success_by_steps
@@ -58,9 +59,7 @@ class TestSearch:
     @pytest.mark.parametrize("search", SEARCHES)
     def test_negative_bags_speak_against(self, search: str) -> None:
         for strength, expected in ((1.0, [12.0]), (0.0, [5.0])):
-            discovery = Discovery(
-                settings_of(search=search, negative_strength=strength, max_places=1, peak_radius=100.0)
-            )
+            discovery = Discovery(settings_of(search=search, negative_strength=strength))
             discovery.add(*on_a_line(0, 2, 5, 12, 20))
             discovery.add(*on_a_line(1, 3.5, 5, 12, 21))
             discovery.add(*on_a_line(0, 4, 5, 6, 30, success=False))
@@ -69,7 +68,7 @@ class TestSearch:
     @pytest.mark.parametrize("search", SEARCHES)
     def test_too_many_places_are_accidents(self, search: str) -> None:
         for max_places, expected in ((1, None), (2, [5.0])):
-            discovery = Discovery(settings_of(search=search, max_places=max_places))
+            discovery = Discovery(settings_of(search=search), FewPeaks(max_places))
             discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
             discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
             assert found(discovery) == expected
@@ -77,7 +76,7 @@ class TestSearch:
     @pytest.mark.parametrize("search", SEARCHES)
     def test_a_wide_plateau_is_open_space(self, search: str) -> None:
         for max_extent, expected in ((1.0, None), (2.0, [7.0])):
-            discovery = Discovery(settings_of(search=search, max_extent=max_extent))
+            discovery = Discovery(settings_of(search=search), FewPeaks(9, max_extent))
             discovery.add(*on_a_line(0, 2, 5, 6, 7, 8, 9, 20))
             discovery.add(*on_a_line(1, 3.5, 5, 6, 7, 8, 9, 21))
             assert found(discovery) == expected
@@ -158,8 +157,7 @@ class TestSearch:
     @pytest.mark.parametrize("strength", [0.1, 0.0])
     def test_the_more_successes_there_are_the_rarer_are_searches(self, strength: float) -> None:
         """With a growth of a fifth, 2 new trajectories up to 10 successes, 3 up to 15. The first here is a failure."""
-        never = {"threshold": 0.99, "cut_threshold": 0.99}
-        discovery = Discovery(settings_of(search_growth=0.2, negative_strength=strength, **never))
+        discovery = Discovery(settings_of(search_growth=0.2, negative_strength=strength, threshold=0.99))
         searched = []
         for n in range(1, 16):
             discovery.add(*on_a_line(0, 5, 20, success=n > 1))
@@ -200,7 +198,7 @@ class TestWithoutDistances:
         assert self.left(self.discovery(kind)) == [3, 4, 5]
 
     def test_what_has_an_option(self) -> None:
-        discovery = self.discovery("categorical", max_places=9, spacing=1.0, decay=0.9, threshold=0.0)
+        discovery = self.discovery("categorical", spacing=1.0, decay=0.9, threshold=0.0)
         subgoal = discovery.search()
         assert subgoal is not None
         (taken,) = subgoal.points.argmax(axis=1)

@@ -16,7 +16,7 @@ from sb3_options.discovery.contrast import Contrast
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
 from sb3_options.discovery.methods.method import Experience, Method
-from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
+from sb3_options.discovery.peaks import MOST_TIED, PEAK_RADIUS, PeakTracker, plateau_centres
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, TrajectoryDatabase
@@ -73,6 +73,8 @@ class PersistentPeaks(Method):
     needs_success = True
     searches = True
     again_after = np.inf
+    cut_threshold = 0.4
+    """The threshold of a state that is known to cut off its surroundings: it is hardly an accident."""
 
     def __init__(self, contrast: Contrast | None = None) -> None:
         self.contrast = contrast
@@ -89,7 +91,7 @@ class PersistentPeaks(Method):
         self.settings = settings
         self.filters = filters
         self.learns_from_failures = settings.negative_strength > 0
-        self.tracker = PeakTracker(decay=settings.decay, threshold=settings.threshold, radius=settings.peak_radius)
+        self.tracker = PeakTracker(decay=settings.decay, threshold=settings.threshold, radius=PEAK_RADIUS)
         self.maker = BagMaker(settings, filters, self.contrast)
 
     def note(self, labelled: LabelledTrajectory) -> None:
@@ -126,7 +128,7 @@ class PersistentPeaks(Method):
         else:
             self.peaks = self._search(evidence, engine, starts)
             self._cost += self._seconds_of_search(evidence, engine)
-        self.tracker.update(self._places(), self.filters.known_scale)
+        self.tracker.update(self.places()[0], self.filters.known_scale)
 
     def _certain(self, evidence: FilteredBags, engine: DiverseDensity, starts: FloatArray | None) -> list[Peak]:
         """The peaks where no search is needed: a point is in all bags, and none of them is negative."""
@@ -173,7 +175,7 @@ class PersistentPeaks(Method):
         s, scale = self.settings, self.filters.known_scale
         instances = np.concatenate(self.evidence.positive)
         proposals = []
-        for concept in self.tracker.persistent(min(s.threshold, s.cut_threshold)):
+        for concept in self.tracker.persistent(min(s.threshold, self.cut_threshold)):
             # A peak may lie where nobody can stand.
             point = instances[np.linalg.norm((instances - concept.point) * scale, axis=1).argmin()]
             if concept.average > s.threshold * self.tracker.limit or self.maker.cuts_off(point):
@@ -237,13 +239,10 @@ class PersistentPeaks(Method):
             f"{REMEDIES[self.maker.emptied_by]}"
         )
 
-    def _places(self) -> FloatArray:
-        """The middles of the best peaks' plateaus, (n, d); none if they are too many or too wide."""
+    def places(self) -> tuple[FloatArray, float]:
+        """The middles of the best peaks' plateaus, (n, d), and how far the widest reaches from its own."""
         least = self.peaks[0].log_density - PEAK_TOLERANCE
         tied = np.array([peak.point for peak in self.peaks if peak.log_density >= least])
         if len(tied) > MOST_TIED:
-            return tied[:0]
-        places, extent = plateau_centres(tied, self.filters.known_scale, self.settings.peak_radius)
-        most = self.settings.max_places
-        few = (most is None or len(places) <= most) and extent <= self.settings.max_extent
-        return places if few else places[:0]
+            return tied[:0], np.inf
+        return plateau_centres(tied, self.filters.known_scale, PEAK_RADIUS)
