@@ -12,16 +12,13 @@ import multiprocessing
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-from stable_baselines3.common.monitor import Monitor
 
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.options.archive import NAME, content_in
 
 PLAYERS = ("enjoy", "record_video", "push_to_hub")
 """The programs of rl-zoo3 that load a run."""
@@ -31,17 +28,17 @@ class ZooOptionsWrapper(OptionsWrapper):
     """`OptionsWrapper` that starts with the options of the run that rl-zoo3 loads.
 
     In `PLAYERS` these are the options of the run played; in ``rl_zoo3.train --trained-agent FILE`` those of that model;
-    else there are none to start with. `ZooDiscoveryCallback` wrote them beside the model, or they are in its zip.
+    else there are none to start with. The model's zip holds them.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
         max_options: Number of slots.
         options_file: Another file to start with.
-        **kwargs: Of `OptionsWrapper`; ``gamma`` must equal the algorithm's.
+        **kwargs: Of `OptionsWrapper`.
 
     Raises:
-        FileNotFoundError: The run has neither an options file nor a model.
-        ValueError: Its options do not fit, or which program runs cannot be told.
+        FileNotFoundError: The run has no model.
+        ValueError: The model holds no options, they do not fit, or which program runs cannot be told.
     """
 
     def __init__(
@@ -53,38 +50,13 @@ class ZooOptionsWrapper(OptionsWrapper):
         **kwargs: Any,
     ) -> None:
         if options_file is None:
-            loaded = loaded_model(_program(), sys.argv[1:])
-            options_file = None if loaded is None else _options_of(loaded)
+            options_file = loaded_model(_program(), sys.argv[1:])
         super().__init__(env, max_options, options_file=options_file, **kwargs)
 
     def discount_with(self, gamma: float) -> None:
-        """Take another discount: a search for hyperparameters draws the algorithm's."""
+        """Take the discount of the algorithm."""
         self.gamma = float(gamma)
         self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
-
-    def run_folder(self) -> str | None:
-        """The folder of the run in training, where ``Monitor`` writes; None where it writes nothing."""
-        env: Any = self
-        while isinstance(env, gym.Wrapper):
-            if isinstance(env, Monitor) and env.results_writer is not None:
-                return str(Path(env.results_writer.file_handler.name).parent)
-            env = env.env
-        return None
-
-
-def _options_of(model: Path) -> Path:
-    """The file that holds the options of a model: the model itself, else the one beside it."""
-    beside = model.with_name(NAME)
-    if model.is_file():
-        with suppress(ValueError):  # it holds none
-            content_in(model)
-            return model
-    if beside.is_file():
-        return beside
-    raise FileNotFoundError(
-        f"There are no options in {model}, and there is no {beside}. Train with ZooDiscoveryCallback under `callback`, "
-        "or name an options_file for ZooOptionsWrapper."
-    )
 
 
 def loaded_model(program: str, arguments: Sequence[str]) -> Path | None:
