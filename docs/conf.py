@@ -15,7 +15,12 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ex
 root_doc = "README"
 include_patterns = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/**"]
 exclude_patterns = [".*", "benchmarks", "build", "envs", "callbacks", "examples", "experiments", "mutants", "out"]
-exclude_patterns += ["runs", "sb3_options", "tests"]  # without them Sphinx would look for pages everywhere
+exclude_patterns += [
+    "runs",
+    "sb3_options",
+    "tests",
+    "docs/package.md",
+]  # without them Sphinx would look for pages everywhere
 nitpicky = True
 nitpick_ignore_regex = [
     # Other libraries: without their inventories, which would have to be fetched, there is nothing to link to.

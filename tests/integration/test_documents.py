@@ -64,6 +64,9 @@ MOST_STEPS = 5_000
 """Longest training that a page may show without saying how long tests train."""
 
 
+PACKAGE = ROOT / "docs" / "package.md"
+
+
 def named(pages: Sequence[Path]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("page", pages, ids=name_of)
 
@@ -125,6 +128,11 @@ def test_the_example_of_an_environment_discovers_its_gate(tmp_path: Path) -> Non
     assert result.returncode == 0, result.stderr
 
 
+def test_what_a_package_index_shows_leads_nowhere_else() -> None:
+    assert f'readme = "{PACKAGE.relative_to(ROOT)}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert not list(links_of(PACKAGE))
+
+
 @named(PAGES)
 def test_every_link_leads_somewhere(page: Path) -> None:
     for link in links_of(page):
@@ -139,7 +147,7 @@ def test_every_page_is_a_few_clicks_from_the_readme() -> None:
             if link.path.suffix == ".md" and link.path not in clicks:
                 clicks[link.path] = clicks[page] + 1
                 queue.append(link.path)
-    assert {page for page in PAGES if page.is_relative_to(ROOT / "docs")} <= set(clicks)
+    assert {page for page in PAGES if page.is_relative_to(ROOT / "docs")} - {PACKAGE} <= set(clicks)
     assert clicks[ROOT / "docs" / "guide" / "your-environment.md"] == 1
     assert max(clicks.values()) <= 2
 
