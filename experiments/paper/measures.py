@@ -49,7 +49,7 @@ def density_map(world: GridWorld, discovery: Discovery) -> FloatArray | None:
 
 def _bags(discovery: Discovery) -> Bags | None:
     assert isinstance(discovery.method, PersistentPeaks)  # the default
-    filtered = discovery.method.bags(discovery.experience())
+    filtered = discovery.method.bags(discovery.experience([*discovery.database][-1]))
     return None if filtered is None else filtered.bags
 
 

@@ -100,13 +100,8 @@ def distinct(points: FloatArray) -> FloatArray:
 
 def held_by_all(points: FloatArray, bags: Sequence[FloatArray]) -> BoolArray:
     """Which of some points (m, d) are an instance of every bag, each (n_i, d), at least one: (m,)."""
-    shared: set[bytes] | None = None
-    for bag in sorted(bags, key=len):
-        keys = row_keys(bag)
-        shared = set(keys) if shared is None else shared.intersection(keys)
-        if not shared:
-            return np.zeros(len(points), dtype=np.bool_)
-    return np.array([key in (shared or ()) for key in row_keys(points)], dtype=np.bool_)
+    shared = set.intersection(*(set(row_keys(bag)) for bag in bags))
+    return np.array([key in shared for key in row_keys(points)], dtype=np.bool_)
 
 
 def first_rows(points: FloatArray) -> IntArray:

@@ -185,12 +185,12 @@ class Discovery:
             self._n_new = 0  # the method never gets what the budget does not afford
             return None
         if searches:
-            self._proposals = self._updated(self.experience())
+            self._proposals = self._updated(self.experience([*self.database][-1]))
             return self._take()
         proposals: list[Region] = []
         self._n_new = min(self._n_new, len(self.database))
         while self._n_new:
-            experience = self._experience(list(self.database)[-self._n_new])
+            experience = self.experience([*self.database][-self._n_new])
             self._n_new -= 1  # what a method fails at does not come again
             proposals = [*self._updated(experience), *proposals]
             n_steps, n_numbers = len(experience.visits) - 1, experience.features.size
@@ -207,15 +207,13 @@ class Discovery:
         """Take the best proposal that is far enough from other subgoals."""
         known = [*self.taken, *(found.subgoal for found in self.found)]
         for goal in self._proposals:
-            if self._waits(goal):
-                continue
-            if not (self.method.searches or self.filters.is_apart(goal, known, self.database)):
-                continue
-            self._proposals = []
-            # Where φ is learned there are no groups, whose points have features of their own.
-            observation = None if goal.group is not None else nearest_observations(goal.points[:1], self.database)
-            self.found.append(FoundSubgoal(goal, self.method.accept(goal), observation))
-            return goal
+            apart = self.method.searches or self.filters.is_apart(goal, known, self.database)
+            if apart and not self._waits(goal):
+                self._proposals = []
+                # Where φ is learned there are no groups, whose points have features of their own.
+                observation = None if goal.group is not None else nearest_observations(goal.points[:1], self.database)
+                self.found.append(FoundSubgoal(goal, self.method.accept(goal), observation))
+                return goal
         return None
 
     def withdraw(self) -> None:
@@ -225,12 +223,8 @@ class Discovery:
         self._withdrawn = [each for each in self._withdrawn if not np.array_equal(each[0].points, goal.points)]
         self._withdrawn.append((goal, self.diary.n))
 
-    def experience(self) -> Experience:
-        """What the method gets of the newest trajectory."""
-        *_, newest = self.database
-        return self._experience(newest)
-
-    def _experience(self, labelled: LabelledTrajectory) -> Experience:
+    def experience(self, labelled: LabelledTrajectory) -> Experience:
+        """What the method gets of a trajectory."""
         taken = [*self.taken, *(found.subgoal for found in self.found)]
         avoided = [*taken, *(self._waiting() if self.method.searches else ())]
         scale = self.filters.scale

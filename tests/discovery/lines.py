@@ -52,4 +52,4 @@ def peaks_of(discovery: Discovery) -> PersistentPeaks:
 
 
 def bags_of(discovery: Discovery) -> FilteredBags | None:
-    return peaks_of(discovery).bags(discovery.experience())
+    return peaks_of(discovery).bags(discovery.experience([*discovery.database][-1]))
