@@ -134,11 +134,6 @@ class TestAverages:
         tracker.update(peaks(), ONES)
         assert tracker.concepts == []
 
-    def test_a_small_decay_still_finds(self) -> None:
-        tracker = PeakTracker(decay=1e-4, threshold=0.6)
-        tracker.update(peaks(A), ONES)
-        assert [c.point.tolist() for c in tracker.persistent()] == [A]
-
 
 class TestAssignment:
     def test_a_peak_belongs_to_the_nearest_concept_within_the_radius(self) -> None:

@@ -177,13 +177,6 @@ def test_subgoals_are_found_before_anything_succeeds(share: float, caplog: pytes
     assert ("Discovery waits for a success" in caplog.text) == (share == 0)
 
 
-def test_groups_that_are_everywhere_are_nothing_rare() -> None:
-    everywhere = FeatureGroup("everywhere", [0])
-    salience = Salience([everywhere], 0.5, 3)
-    for _ in range(LEAST_TRAJECTORIES + 1):
-        assert not salience.add(usual())
-
-
 def test_trajectories_that_are_labelled_anew_stay_in_the_order_in_which_they_came() -> None:
     """Else the failures that are kept would be those that came upon something rare."""
     database = OutcomeDatabase(10, np.inf, Salience(GROUPS, 0.2, 3))

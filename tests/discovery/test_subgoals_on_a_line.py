@@ -228,27 +228,11 @@ class TestNothingToFind:
         assert peaks_of(discovery).peaks == []
 
     @pytest.mark.parametrize("search", SEARCHES)
-    def test_duplicates(self, search: str) -> None:
-        discovery = Discovery(settings_of(search=search))
-        for _ in range(10):
-            discovery.add(*on_a_line(0, 5, 5, 5, 20, 5, 20))
-        assert found(discovery) == pytest.approx([5.0], abs=1e-6)
-
-    @pytest.mark.parametrize("search", SEARCHES)
     def test_a_single_instance(self, search: str) -> None:
         discovery = Discovery(settings_of(search=search, negative_strength=0.0))
         discovery.add(*on_a_line(0, 5, 20))
         assert found(discovery) == pytest.approx([5.0], abs=1e-6)
         assert discovery.search() is None
-
-    @pytest.mark.parametrize("search", SEARCHES)
-    def test_one_place_in_positive_and_negative_bags(self, search: str) -> None:
-        discovery = Discovery(settings_of(search=search))
-        for success in (True, False):
-            discovery.add(*on_a_line(0, 5, 20, success=success))
-        for _ in range(3):
-            subgoal = found(discovery)
-            assert subgoal is None or subgoal == pytest.approx([5.0], abs=1e-6)
 
     def test_a_trajectory_of_one_observation(self) -> None:
         discovery = Discovery(settings_of())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
@@ -22,12 +22,13 @@ if TYPE_CHECKING:
     from sb3_options.discovery.settings import DiscoverySettings
 
 
+@dataclass(eq=False)
 class Experience:
     """The newest trajectory, and the database it is in, as methods see them.
 
     Args:
         labelled: The trajectory.
-        allowed: Computes which of its states may be subgoals, (m,), when that is first asked for.
+        may_be_subgoals: Computes which of its states may be subgoals, (m,), when that is first asked for.
         scale: Factor for every feature that makes one unit one step, (d,).
         radius: Of a subgoal, in scaled units.
         taken: Subgoals that have an option.
@@ -42,33 +43,26 @@ class Experience:
         success: Whether it was successful.
     """
 
-    def __init__(
-        self,
-        labelled: LabelledTrajectory,
-        allowed: Callable[[], BoolArray],
-        scale: FloatArray,
-        radius: float,
-        *,
-        taken: Sequence[Region] = (),
-        avoided: Sequence[Region] = (),
-        database: TrajectoryDatabase | None = None,
-    ) -> None:
-        self.trajectory: Trajectory = labelled.trajectory
-        self.features = labelled.features.view()
-        self.visits = labelled.trajectory.visits.view()
+    labelled: LabelledTrajectory
+    may_be_subgoals: Callable[[], BoolArray]
+    scale: FloatArray
+    radius: float
+    taken: Sequence[Region] = ()
+    avoided: Sequence[Region] = ()
+    database: TrajectoryDatabase = field(default_factory=lambda: TrajectoryDatabase(1))
+
+    def __post_init__(self) -> None:
+        """Show the trajectory, read-only."""
+        self.trajectory: Trajectory = self.labelled.trajectory
+        self.features = self.labelled.features.view()
+        self.visits = self.trajectory.visits.view()
         self.features.flags.writeable = self.visits.flags.writeable = False
-        self.success = labelled.success
-        self.scale = scale
-        self.radius = radius
-        self.taken = tuple(taken)
-        self.avoided = tuple(avoided)
-        self.database = TrajectoryDatabase(1) if database is None else database
-        self._allowed = allowed
+        self.success = self.labelled.success
 
     @cached_property
     def allowed(self) -> BoolArray:
         """Which of its states may be subgoals, (m,): the static filter allows them, and no subgoal is near."""
-        return self._allowed()
+        return self.may_be_subgoals()
 
     @cached_property
     def places(self) -> Places:
