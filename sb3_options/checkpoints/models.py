@@ -93,30 +93,31 @@ def _memory(model: BaseAlgorithm) -> list[tuple[torch.Tensor, ...]] | None:
 def _rollout(model: BaseAlgorithm) -> State:
     """How long the rollout is that begins, in decisions, and in primitive steps where these count."""
     buffer = getattr(model, "rollout_buffer", None)
-    sizes = {"n_steps": "buffer_size", "n_primitive_steps": "n_primitive_steps"}
-    there = {name: getattr(buffer, attribute, None) for name, attribute in sizes.items()}
-    return {name: size for name, size in there.items() if size is not None}
+    attributes = {"n_steps": "buffer_size", "n_primitive_steps": "n_primitive_steps"}
+    sizes = {name: getattr(buffer, attribute, None) for name, attribute in attributes.items()}
+    return {name: size for name, size in sizes.items() if size is not None}
 
 
 def prepare(model: BaseAlgorithm, state: State) -> None:
     """Let the first rollout of an on-policy algorithm be as long as the one that began with what `get_state` gave."""
-    there = state["rollout"]
+    sizes = state["rollout"]
     buffer: Any = getattr(model, "rollout_buffer", None)
-    if buffer is None or "n_steps" not in there:
+    if buffer is None or "n_steps" not in sizes:
         return
     most: int = model.n_steps  # type: ignore[attr-defined]  # it is on-policy
-    for steps in there.values():
+    for steps in sizes.values():
         if not (whole(steps, 1) and steps <= most):
             raise ValueError(f"The checkpoint is of rollouts of {steps!r} steps, and the model has n_steps={most}.")
-    if "n_primitive_steps" in there:
+    if "n_primitive_steps" in sizes:
         buffer = option_rollout_buffer(model)
-        buffer.n_primitive_steps = there["n_primitive_steps"]
-    model.n_steps = buffer.buffer_size = there["n_steps"]  # type: ignore[attr-defined]  # it is on-policy
+        buffer.n_primitive_steps = sizes["n_primitive_steps"]
+    model.n_steps = buffer.buffer_size = sizes["n_steps"]  # type: ignore[attr-defined]  # it is on-policy
 
 
 def set_state(model: BaseAlgorithm, state: State) -> None:
     """Go on with what `get_state` gave, in a model that was made with the same arguments."""
-    for name, value in ((name, state["counters"][name]) for name in COUNTERS if name in state["counters"]):
+    counters = {name: state["counters"][name] for name in COUNTERS if name in state["counters"]}
+    for name, value in counters.items():
         if not (is_number(value) if isinstance(getattr(model, name, 0), float) else whole(value, 0)):
             raise ValueError(f"The checkpoint has {name}={value!r}, which is no count of steps, or no rate.")
     gamma = getattr(model, "gamma", None)
@@ -130,18 +131,17 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
     if state["memory"] is not None:
         memory = (tuple(each.to(model.device) for each in of_network) for of_network in state["memory"])
         model._last_lstm_states = type(model._last_lstm_states)(*memory)  # type: ignore[attr-defined]  # it is recurrent
-    for names, values in ((COUNTERS, state["counters"]), (LAST, state["last"])):
-        for name in names:  # and no others that a stranger's file may name
-            if name in values:
-                setattr(model, name, values[name])
+    last = {name: state["last"][name] for name in LAST}
+    for name, value in (counters | last).items():  # and no others that a stranger's file may name
+        setattr(model, name, value)
     model.start_time = time.time_ns() - state["elapsed"]
-    for buffer, there in ((model.ep_info_buffer, "episodes"), (model.ep_success_buffer, "successes")):
+    for buffer, episodes in ((model.ep_info_buffer, "episodes"), (model.ep_success_buffer, "successes")):
         assert buffer is not None  # learn() has begun
         buffer.clear()
-        buffer.extend(state[there])
+        buffer.extend(state[episodes])
     model.action_space.np_random.bit_generator.state = state["action_space"]
     if "replay_buffer" in state:
-        replay: OptionReplayBuffer = model.replay_buffer  # type: ignore[attr-defined]  # as there
+        replay: OptionReplayBuffer = model.replay_buffer  # type: ignore[attr-defined]  # as when it was written
         replay.set_state(state["replay_buffer"])
         if not (whole(replay.pos, 0) and replay.pos < replay.buffer_size):
             raise ValueError(f"The checkpoint writes to row {replay.pos!r} of a buffer of {replay.buffer_size}.")
@@ -193,13 +193,13 @@ def logged(logger: Logger) -> State:
 
 def set_logged(logger: Logger, state: State) -> None:
     """Record what `logged` gave, and nothing else."""
-    for there, here in (
+    for saved, recorded in (
         (state["values"], logger.name_to_value),
         (state["counts"], logger.name_to_count),
         (state["excluded"], logger.name_to_excluded),
     ):
-        here.clear()
-        here.update(there)
+        recorded.clear()
+        recorded.update(saved)
 
 
 def event_file_sizes(logger: Logger) -> dict[str, int]:

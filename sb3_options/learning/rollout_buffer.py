@@ -216,7 +216,7 @@ def option_rollout_buffer(model: BaseAlgorithm) -> SMDPAdvantages | None:
     shape = {"hidden_state_shape": buffer.hidden_state_shape} if hasattr(buffer, "hidden_state_shape") else {}
     if stock not in _derived:
         _derived[stock] = type(f"Option{stock.__name__}", (SMDPAdvantages, stock), {})
-    made: SMDPAdvantages = _derived[stock](
+    replacement: SMDPAdvantages = _derived[stock](
         buffer.buffer_size,
         buffer.observation_space,
         buffer.action_space,
@@ -226,5 +226,5 @@ def option_rollout_buffer(model: BaseAlgorithm) -> SMDPAdvantages | None:
         n_envs=buffer.n_envs,
         **shape,
     )
-    model.rollout_buffer = made  # type: ignore[attr-defined]  # it had one
-    return made
+    model.rollout_buffer = replacement  # type: ignore[attr-defined]  # it had one
+    return replacement

@@ -38,25 +38,25 @@ class SpaceSignature(NamedTuple):
     features: str | None
 
 
-def check_signature(there: SpaceSignature, here: SpaceSignature, policy_inputs: set[PolicyInput]) -> None:
-    """Refuse options that were made for other observations: those of a file, ``there``, and of the bank, ``here``.
+def check_signature(made_for: SpaceSignature, task: SpaceSignature, policy_inputs: set[PolicyInput]) -> None:
+    """Refuse options that were made for other observations: those of a file, and those of this task.
 
     A policy that acts on the observation needs the same space, one that acts on features does not. Both need the same
     kind of feature map, because the subgoals lie in its space. A map that the user passed is taken to be that one,
     unless that was learned.
     """
-    if "observation" in policy_inputs and there.digest != here.digest:
-        bounds = "" if there.space != here.space else ", whose bounds differ"
+    if "observation" in policy_inputs and made_for.digest != task.digest:
+        bounds = "" if made_for.space != task.space else ", whose bounds differ"
         raise ValueError(
-            f"its options were made for observations {there.space}, this task's are {here.space}{bounds}; only "
+            f"its options were made for observations {made_for.space}, this task's are {task.space}{bounds}; only "
             "options whose policies act on features (policy_input='features') move between tasks that are observed "
             "differently: learn them so, or make both environments give the same observations"
         )
-    given = here.features == "given" and there.features != LEARNED  # of which the file holds the map
-    if policy_inputs and not given and here.features != there.features:
-        name = f'"{there.features}"' if there.features == LEARNED else "..."
+    given = task.features == "given" and made_for.features != LEARNED  # of which the file holds the map
+    if policy_inputs and not given and task.features != made_for.features:
+        name = f'"{made_for.features}"' if made_for.features == LEARNED else "..."
         raise ValueError(
-            f"its subgoals lie in {_OF_KIND[there.features]}, this task's in {_OF_KIND[here.features]}; pass the "
+            f"its subgoals lie in {_OF_KIND[made_for.features]}, this task's in {_OF_KIND[task.features]}; pass the "
             f"feature map they were made with, OptionsWrapper(env, feature_map={name})"
         )
 

@@ -65,6 +65,10 @@ def test_a_closed_head_never_wins(algorithm: type[OffPolicyAlgorithm]) -> None:
         assert (values.mean(dim=1).argmax(dim=1) < N_PRIMITIVE).all()
         assert (values[:, :, N_PRIMITIVE:] == heads.CLOSED_VALUE).all()
     assert (model.predict(observations().numpy(), deterministic=True)[0] < N_PRIMITIVE).all()
+    with torch.no_grad():
+        for layer, _ in heads.option_outputs(model.policy):
+            layer.bias.mul_(0.01)  # as weight decay does in time
+    assert [heads.is_closed(model.policy, action) for action in (0, N_PRIMITIVE)] == [False, True]
 
 
 @algorithms
