@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.type_aliases import TrainFreq
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks import checkpoint_state
@@ -104,7 +103,7 @@ class CheckpointCallback(BaseCallback):
                 what = f"{type(error).__name__}: {' '.join(str(error).split())}"
                 raise ValueError(f"The checkpoint does not fit what is trained here: {what}") from error
             self._there = self.model.num_timesteps
-        elif self._is_due(now):
+        elif (self._last is None or now - self._last >= self.freq) and self._may_end():
             self._last = now
             self._save()
         began = self.model.num_timesteps > 0
@@ -112,18 +111,13 @@ class CheckpointCallback(BaseCallback):
             self._end()
         self._rollouts += 1
 
-    def _is_due(self, now: int) -> bool:
-        return (self._last is None or now - self._last >= self.freq) and self._may_end()
-
     def _may_end(self) -> bool:
         """Whether training that goes on from here is the training that was not cut off.
 
         SB3 counts ``log_interval`` of an on-policy algorithm from the start of ``learn``.
         """
         interval = self._log_interval if isinstance(self.model, OnPolicyAlgorithm) else None
-        if interval is not None and self._rollouts % interval:
-            return False
-        return not self._is_last_rollout()
+        return interval is None or self._rollouts % interval == 0
 
     def _save(self, then: str = "training goes on") -> None:
         now = self.model.num_timesteps
@@ -141,12 +135,6 @@ class CheckpointCallback(BaseCallback):
         assert self._root is not None  # this callback is in it
         self._root.on_training_end()
         raise EndedAtCheckpointError
-
-    def _is_last_rollout(self) -> bool:
-        """Whether training ends with this rollout of an off-policy algorithm, which may be shortened therefore."""
-        frequency = getattr(self.model, "train_freq", None)
-        left = self.model._total_timesteps - self.model.num_timesteps
-        return isinstance(frequency, TrainFreq) and left <= frequency.frequency * self.training_env.num_envs
 
     def _on_step(self) -> bool:
         return True

@@ -40,18 +40,13 @@ class LearnedFeatures:
         return self.map.learned > 0
 
     def why_not_ready(self, n: int) -> str | None:
-        """Why nothing is searched yet after ``n`` trajectories, in a sentence; None where something is."""
-        if not self.ready and n < FIRST_TRAJECTORIES:
-            return (
-                f"No subgoal was discovered: the feature map is learned after {FIRST_TRAJECTORIES} trajectories, and "
-                f"{n} have ended. Train for longer."
-            )
-        if not self.ready and (done := self.learner.done):
-            return (
-                f"No subgoal was discovered: {done} of {self.learner.updates} gradient steps for the feature map are "
-                "done. Train for longer."
-            )
-        return None
+        """Why nothing is searched yet after ``n`` trajectories, in a sentence; None where something can be."""
+        if self.ready:
+            return None
+        return (
+            f"No subgoal was discovered: the feature map is learned after {FIRST_TRAJECTORIES} trajectories, in "
+            f"{self.learner.updates} gradient steps; {n} have ended, {self.learner.done} are done. Train for longer."
+        )
 
     def begin(self, options: OptionInstaller) -> None:
         """Take note of the options that are there when training starts."""

@@ -71,10 +71,7 @@ def test_what_a_map_waits_for_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert callback.discovery is not None
     n = callback.discovery.diary.n
     assert n >= 1
-    assert callback.why_nothing() == (
-        f"No subgoal was discovered: the feature map is learned after 10000 trajectories, and {n} have ended. Train "
-        "for longer."
-    )
+    assert (callback.why_nothing() or "").endswith(f"gradient steps; {n} have ended, 0 are done. Train for longer.")
     callback.max_new_options = 0
     assert callback.why_nothing() == "Discovery was switched off."
 
