@@ -46,12 +46,7 @@ NEAR_NEGATIVE = 2.0**-20
 
 
 def evaluate(
-    columns: Columns,
-    segments: list[Segment],
-    likelihood: Likelihood,
-    workspace: Workspace,
-    *,
-    gradient: bool = True,
+    columns: Columns, segments: list[Segment], likelihood: Likelihood, workspace: Workspace, *, gradient: bool = True
 ) -> Evaluation:
     """Log density and gradient of every column, as fresh tensors."""
     first, *others = (_of_segment(columns, segment, likelihood, workspace, gradient) for segment in segments)

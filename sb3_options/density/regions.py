@@ -64,24 +64,20 @@ class Region:
 
     def _covers_one(self, point: list[float]) -> bool:
         """`covers` for one place: in every step of an agent, where a call of numpy costs more than the arithmetic."""
-        scaled = [x * factor for x, factor in zip(point, self._factors, strict=True)]
-        if len(self.points) != 1:
-            if tuple(scaled) in self._centres:
-                return True
+        scaled = tuple(x * factor for x, factor in zip(point, self._factors, strict=True))
+        if scaled in self._centres:
+            return True
+        if len(self.points) > 1:
             return bool((_cdist()(np.array([scaled]), self._scaled) <= self.radius).any())
-        square = 0.0
-        for x, centre in zip(scaled, self._first, strict=True):
-            square += (x - centre) * (x - centre)
+        (centre,) = self._centres
+        square = 0.0  # term by term, as `cdist` adds them: `math.dist` and `sum` round otherwise
+        for x, other in zip(scaled, centre, strict=True):
+            square += (x - other) * (x - other)
         return math.sqrt(square) <= self.radius
 
     @cached_property
     def _scaled(self) -> FloatArray:
         return self.points * self.scale
-
-    @cached_property
-    def _first(self) -> list[float]:
-        first: list[float] = self._scaled[0].tolist()
-        return first
 
     @cached_property
     def _centres(self) -> frozenset[tuple[float, ...]]:

@@ -12,12 +12,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.one_hot import is_one_hot
 from sb3_options.density.regions import Region
 from sb3_options.discovery.settings import DiscoverySettings, default_scale
-from sb3_options.discovery.static_filter import (
-    StaticFilter,
-    near_start_and_goal,
-    steps_from,
-    steps_from_start_and_goal,
-)
+from sb3_options.discovery.static_filter import StaticFilter, near_start_and_goal, steps_from, steps_from_start_and_goal
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.state import TRANSIENT

@@ -65,9 +65,8 @@ class PeakTracker:
     FORGOTTEN = 1e-3
     """A concept whose average has decayed below this is dropped, so that the list stays short."""
 
-    def __init__(self, *, decay: float = 0.9, threshold: float = 0.6, radius: float = 1.0) -> None:
+    def __init__(self, *, decay: float = 0.9, radius: float = 1.0) -> None:
         self.decay = decay
-        self.threshold = threshold
         self.radius = radius
         self.concepts: list[TrackedConcept] = []
 
@@ -96,10 +95,9 @@ class PeakTracker:
         """The largest average; 0 before the first peak."""
         return max((concept.average for concept in self.concepts), default=0.0)
 
-    def persistent(self, threshold: float | None = None) -> list[TrackedConcept]:
-        """The concepts of the last search whose average exceeds the threshold, largest first."""
-        share = self.threshold if threshold is None else threshold
-        above = [c for c in self.concepts if c.found and c.average > share * self.limit]
+    def persistent(self, threshold: float) -> list[TrackedConcept]:
+        """The concepts of the last search whose average exceeds this share of the limit, largest first."""
+        above = [c for c in self.concepts if c.found and c.average > threshold * self.limit]
         return sorted(above, key=lambda c: -c.average)
 
     def forget(self) -> None:

@@ -22,12 +22,7 @@ FLAT = HalfSpace(steepness=1e9, offset=1e9)
 """With a prior that says nothing."""
 
 
-def evidence_of(
-    bags: Bags,
-    concept: Concept | None = None,
-    eta: float = 1.0,
-    leak: float = 0.0,
-) -> Evidence:
+def evidence_of(bags: Bags, concept: Concept | None = None, eta: float = 1.0, leak: float = 0.0) -> Evidence:
     d, likelihood = bags.n_features, Likelihood(eta, leak, isinstance(concept, HalfSpace))
     return Evidence(bags, concept or Point(prior_width=None), np.zeros(d), np.ones(d), likelihood)
 
@@ -111,15 +106,7 @@ def check_gradient(evidence: Evidence, theta: Tensor) -> None:
 
 
 @pytest.mark.parametrize(
-    "concept",
-    [
-        Point(),
-        Point("one"),
-        Point("fixed"),
-        Point(prior_width=None),
-        Point(prior_width=0.5),
-        HalfSpace(),
-    ],
+    "concept", [Point(), Point("one"), Point("fixed"), Point(prior_width=None), Point(prior_width=0.5), HalfSpace()]
 )
 @pytest.mark.parametrize("eta", [1.0, 0.3])
 def test_gradient_of_every_concept(concept: Concept, eta: float) -> None:

@@ -51,10 +51,7 @@ def test_far_states_have_a_density() -> None:
     ],
 )
 def test_where_it_is_taken(
-    scale: float | FloatArray,
-    points: FloatArray,
-    short: bool,
-    monkeypatch: pytest.MonkeyPatch,
+    scale: float | FloatArray, points: FloatArray, short: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not with scales that differ, or candidates between states: there the peaks are those of any features."""
     taken = []

@@ -174,11 +174,7 @@ def test_a_half_space() -> None:
 
 @pytest.mark.parametrize(
     "search",
-    [
-        DiverseDensity(concept=Point("one")),
-        DiverseDensity(concept=Point("each")),
-        DiverseDensity(concept=HalfSpace()),
-    ],
+    [DiverseDensity(concept=Point("one")), DiverseDensity(concept=Point("each")), DiverseDensity(concept=HalfSpace())],
 )
 def test_beta_tests_every_concept_before_and_after_a_file(search: DiverseDensity, tmp_path: Path) -> None:
     best = search.search(planted(2, 5))[0]

@@ -84,7 +84,7 @@ def test_what_persists_is_no_subgoal_while_its_bags_are_empty(monkeypatch: pytes
         discovery.search()
         i += 1
     second = discovery.method.members[same]
-    assert list(second.tracker.persistent())
+    assert list(second.tracker.persistent(SOON.threshold))
     with monkeypatch.context() as patched:
         patched.setattr(second, "bags", lambda _: None)
         discovery.add(*walk(rng, success=True))

@@ -85,10 +85,7 @@ class Giving:
     [
         (Region(np.array([[np.nan]]), np.ones(1), 0.5), "; expected finite numbers of shapes"),
         (Region(np.array([[5.0]]), np.ones(1), -1.0), "; expected finite numbers of shapes"),
-        (
-            Region(np.array([5.0]), np.ones(1), 0.5),
-            r"points of shape \(1,\), a scale of shape \(1,\)",
-        ),
+        (Region(np.array([5.0]), np.ones(1), 0.5), r"points of shape \(1,\), a scale of shape \(1,\)"),
         (Region(np.array([[5.0]]), np.array(1.0), 0.5), r"a scale of shape \(\) "),
         (Region(np.zeros((0, 1)), np.ones(1), 0.5), r"points of shape \(0, 1\),"),
     ],
@@ -140,12 +137,7 @@ def test_answers_that_are_no_proposals_are_refused(answer: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "message"),
-    [
-        (42, "got 42"),
-        (RandomPlaces, "got <class"),
-        (lambda _: [], "got <function"),
-    ],
+    ("method", "message"), [(42, "got 42"), (RandomPlaces, "got <class"), (lambda _: [], "got <function")]
 )
 def test_what_is_no_method_is_refused(method: object, message: str) -> None:
     with pytest.raises(TypeError, match=r"^method must be a name, or an object with update\(experience\), " + message):

@@ -72,7 +72,7 @@ def test_there_is_a_middle_for_each_connected_component(points: list[tuple[int, 
 class TestAverages:
     def test_by_hand(self) -> None:
         """λ = 1/2: found, found, missed, found gives 1/2, 3/4, 3/8, 11/16."""
-        tracker = PeakTracker(decay=0.5, threshold=0.5, radius=1.0)
+        tracker = PeakTracker(decay=0.5, radius=1.0)
         averages = []
         for found in (True, True, False, True):
             tracker.update(peaks(A) if found else peaks(B), ONES)
@@ -100,20 +100,20 @@ class TestAverages:
     def test_persistent_after_as_many_searches_as_1_minus_decay_to_the_n_exceeds_the_threshold(
         self, decay: float, threshold: float, searches: int
     ) -> None:
-        tracker = PeakTracker(decay=decay, threshold=threshold)
+        tracker = PeakTracker(decay=decay)
         for _ in range(searches - 1):
             tracker.update(peaks(A), ONES)
-            assert tracker.persistent() == []
+            assert tracker.persistent(threshold) == []
         tracker.update(peaks(A), ONES)
-        assert [c.point.tolist() for c in tracker.persistent()] == [A]
+        assert [c.point.tolist() for c in tracker.persistent(threshold)] == [A]
 
     def test_persistent_are_those_of_the_last_search_largest_first(self) -> None:
-        tracker = PeakTracker(decay=0.5, threshold=0.1, radius=1.0)
+        tracker = PeakTracker(decay=0.5, radius=1.0)
         tracker.update(peaks(B), ONES)
         tracker.update(peaks(A, B), ONES)
-        assert [c.point.tolist() for c in tracker.persistent()] == [B, A]
+        assert [c.point.tolist() for c in tracker.persistent(0.1)] == [B, A]
         tracker.update(peaks(A), ONES)
-        assert [c.point.tolist() for c in tracker.persistent()] == [A]
+        assert [c.point.tolist() for c in tracker.persistent(0.1)] == [A]
         tracker.update(peaks(A, B), ONES)
         assert [c.point.tolist() for c in tracker.persistent(0.7)] == [A]
 

@@ -47,9 +47,7 @@ def walks() -> list[list[tuple[Trajectory, FloatArray]]]:
 class TestTwoRooms:
     @pytest.mark.parametrize("search", SEARCHES)
     def test_random_walks_lead_to_the_doorway(
-        self,
-        walks: list[list[tuple[Trajectory, FloatArray]]],
-        search: Literal["gradient", "exhaustive"],
+        self, walks: list[list[tuple[Trajectory, FloatArray]]], search: Literal["gradient", "exhaustive"]
     ) -> None:
         near = 0
         for trajectories in walks:

@@ -41,10 +41,7 @@ class TestReplay:
         before, after = replay.steps()
         assert [
             (int(replay.observations[a]), int(replay.observations[b])) for a, b in zip(before, after, strict=True)
-        ] == [
-            (4, 5),
-            (5, 2),
-        ]
+        ] == [(4, 5), (5, 2)]
 
     def test_pairs_lie_ahead_in_one_trajectory_geometrically(self) -> None:
         replay = Replay([path_through([0, 1, 2, 3]), path_through([4, 5])], TABLE)

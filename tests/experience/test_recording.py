@@ -50,11 +50,7 @@ def test_dictionaries_written_in_place_are_copied() -> None:
 
 
 def segments(
-    rewards: list[float],
-    *,
-    max_segment: int = 1000,
-    terminated: bool = False,
-    truncated: bool = False,
+    rewards: list[float], *, max_segment: int = 1000, terminated: bool = False, truncated: bool = False
 ) -> list[tuple[int, int, bool | None]]:
     """First state, last state and success of each segment; step t leads from state t to t + 1."""
     recorder = SegmentRecorder(max_segment)

@@ -3,12 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.experience.success import (
-    judged,
-    reported_success,
-    success_in,
-    success_rule,
-)
+from sb3_options.experience.success import judged, reported_success, success_in, success_rule
 from sb3_options.experience.trajectories import Trajectory
 from tests.support.helpers import trajectory_of
 

@@ -91,7 +91,7 @@ class PersistentPeaks(Method):
         self.settings = settings
         self.filters = filters
         self.learns_from_failures = settings.negative_strength > 0
-        self.tracker = PeakTracker(decay=settings.decay, threshold=settings.threshold, radius=PEAK_RADIUS)
+        self.tracker = PeakTracker(decay=settings.decay, radius=PEAK_RADIUS)
         self.maker = BagMaker(settings, filters, self.contrast)
 
     def note(self, labelled: LabelledTrajectory) -> None:

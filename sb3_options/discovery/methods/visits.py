@@ -42,7 +42,7 @@ class FirstVisits(CandidateMethod):
         self.threshold = threshold
         self.min_successes = min_successes
         self.radius = radius
-        self._tracker = PeakTracker(decay=decay, threshold=threshold, radius=radius)
+        self._tracker = PeakTracker(decay=decay, radius=radius)
         self._successes = 0
 
     def update(self, experience: Experience) -> list[Region]:
@@ -59,7 +59,7 @@ class FirstVisits(CandidateMethod):
         if len(points) <= MOST_TIED:
             centres, _ = plateau_centres(points, experience.scale, self.radius)
         self._tracker.update(centres, experience.scale)
-        return [experience.region(concept.point) for concept in self._tracker.persistent()]
+        return [experience.region(concept.point) for concept in self._tracker.persistent(self.threshold)]
 
     def _hits(self, visits: IntArray) -> IntArray:
         """What counts of how often a trajectory visited each place, (k,)."""
