@@ -63,7 +63,7 @@ class RandomGrouped(GroupedPeaks):
         for labelled in filter(lambda each: each.success, experience.database):
             allowed = filters.allowed(labelled)
             if self.contrasting:
-                allowed &= contrast.stands_out(labelled, self.settings.min_contrast)
+                allowed &= contrast.stands_out(labelled)
             states.append(filters.own(labelled)[allowed])
         places: FloatArray = np.unique(np.concatenate(states), axis=0)
         for region in experience.avoided:

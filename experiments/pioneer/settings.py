@@ -55,7 +55,6 @@ class PioneerSettings:
     option_gamma: float = 0.95
     leave_reward: float = -10.0
     max_duration: int = 20
-    network_updates: int = 2000
 
     def discovery(self) -> DiscoverySettings:
         """How subgoals are found: one unit of concept space is ``gaussian_width``."""
@@ -85,7 +84,6 @@ class PioneerSettings:
             leave_reward=self.leave_reward,
             gamma=self.option_gamma,
             value_function="network",
-            network_updates=self.network_updates,
             grow=False,
         )
 

@@ -116,16 +116,15 @@ class BagMaker:
         return Way(labelled, rows, states[rows], scaled[rows], self.filters.allowed(labelled)[rows])
 
     def _standing_out(self, known: Sequence[Way]) -> dict[str, BoolArray]:
-        """Which states each filter leaves, one filter after the other: `min_contrast`, or `min_passing` and cuts.
+        """Which states each filter leaves, one filter after the other: contrast, or `min_passing` and cuts.
 
         All ways at once, way after way: a call for each of a hundred takes longer than what it computes.
         """
         allowed: BoolArray = np.concatenate([k.allowed for k in known])
         left = {"start_radius and goal_radius": allowed}
         if self.contrast is not None:
-            least = self.settings.min_contrast
-            outstanding = [self.contrast.stands_out(k.labelled, least)[k.rows] for k in known]
-            return left | {"min_contrast": np.concatenate(outstanding) & allowed}
+            outstanding = [self.contrast.stands_out(k.labelled)[k.rows] for k in known]
+            return left | {"contrast": np.concatenate(outstanding) & allowed}
         if self.settings.min_passing == 0.0:
             return left
         passages: BoolArray = allowed & (self._passing.update([k.scaled for k in known]) >= self.settings.min_passing)

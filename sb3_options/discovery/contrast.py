@@ -11,6 +11,9 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 
+MIN_CONTRAST = 0.3
+"""Least contrast of an instance."""
+
 MAX_START_SHARE = 0.5
 """A state in which more than this share of the trajectories begin is nothing to reach."""
 
@@ -102,10 +105,10 @@ class Contrast:
         values: FloatArray = self._values[self._visits[labelled].numbers]
         return values
 
-    def stands_out(self, labelled: LabelledTrajectory, least: float) -> BoolArray:
-        """Which states of a trajectory have a contrast of ``least``, and more than in a part of the group, (m,)."""
+    def stands_out(self, labelled: LabelledTrajectory) -> BoolArray:
+        """Which states of a trajectory have `MIN_CONTRAST`, and more contrast than in a part of the group, (m,)."""
         values = self.of_visited(labelled)
-        enough: BoolArray = values >= least
+        enough: BoolArray = values >= MIN_CONTRAST
         for part in self.parts if enough.any() else ():
             enough &= values >= part.of_visited(labelled) + PAIR_GAIN
         return enough

@@ -87,7 +87,7 @@ class Diary:
         """Warn once for each subgoal that no option could be learned."""
         if where not in self.without_option:
             self.without_option.add(where)
-            logger.warning("No option for %s: no saved trajectory leads to it reliably enough (min_reach).", where)
+            logger.warning("No option for %s: no saved trajectory leads to it reliably enough.", where)
 
     def why_nothing(self, method: Method, n_found: int, n_episodes: int) -> str:
         """Why there is no option, in a sentence; the number of subgoals where there are some."""
@@ -118,5 +118,5 @@ class Diary:
                 return why + 'Say what counts as a success: success="terminated", or success="return:NUMBER".'
             return why + 'Train for longer, or add an exploration bonus, to PPO or A2C: IntrinsicRewardCallback("rnd").'
         if self.n_withdrawn:
-            return "no saved trajectory leads to the subgoal reliably enough. Train for longer, or lower min_reach."
+            return "no saved trajectory leads to the subgoal reliably enough. Train for longer."
         return method.why_nothing(self)

@@ -37,8 +37,6 @@ class DiscoverySettings:
         min_passing: Of the successful ways that come near a state, the share that must lead through it, or it is no
             instance: nearly all that come near a doorway pass it (`ways.PassingShare`). Such a state must also cut off
             its surroundings (`local_cuts.LocalCuts`). 0 takes every state.
-        min_contrast: Where φ has groups of features: by how much more of the successful trajectories than of the others
-            must visit a state, or it is no instance (`contrast.Contrast`).
         salient_share: Where φ has groups of features, and fewer than ``min_positive`` trajectories have succeeded: one
             that comes upon a thing which at most this share of all come upon counts as successful, up to that moment
             (`salience.Salience`). 0: none does.
@@ -68,7 +66,6 @@ class DiscoverySettings:
     min_positive: Annotated[int, Field(ge=1)] = 4
     loops: Literal["erase", "keep"] = "erase"
     min_passing: Annotated[float, Field(ge=0, lt=1)] = 0.7
-    min_contrast: Annotated[float, Field(ge=-1, lt=1)] = 0.3
     salient_share: Annotated[float, Field(ge=0, lt=1)] = 0.0
     negative_strength: Annotated[float, Field(ge=0, le=1)] = 0.1
     leak: Annotated[float, Field(ge=0, lt=1)] = 0.3

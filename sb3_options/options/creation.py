@@ -18,6 +18,12 @@ from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Transitions, initiation_set, transitions_to
 
+MIN_REACH = 0.5
+"""On a group of features I keeps the states from where the saved steps promise to reach the subgoal so surely."""
+
+NETWORK_UPDATES = 2000
+"""Gradient steps for a network, each of a few milliseconds at most."""
+
 
 def learn_option(
     subgoal: Region,
@@ -34,7 +40,7 @@ def learn_option(
     whatever ``policy_input`` says. The option lasts ``initiation_steps`` at most, within which it has to promise to
     reach its subgoal: what it does not see can make it go in a circle.
 
-    None if no saved trajectory leads to the subgoal, or if none promises to reach it often enough (``min_reach``).
+    None if no saved trajectory leads to the subgoal, or if none promises to reach it often enough (`MIN_REACH`).
     """
     trajectories = list(trajectories)
     if subgoal.group is not None:
@@ -45,14 +51,8 @@ def learn_option(
     if transitions is None:
         return None
     policy = _learn_policy(transitions, n_primitive, settings, generator)
-    if subgoal.group is not None and settings.min_reach and isinstance(policy, TabularPolicy):
-        initiation = reliable_part(
-            initiation,
-            transitions,
-            policy,
-            least=settings.min_reach,
-            steps=settings.max_duration,
-        )
+    if subgoal.group is not None and isinstance(policy, TabularPolicy):
+        initiation = reliable_part(initiation, transitions, policy, least=MIN_REACH, steps=settings.max_duration)
     if isinstance(policy, TabularPolicy):
         initiation, policy = imagined_farther(initiation, transitions, policy, settings)
     if not len(initiation.points):
@@ -77,7 +77,7 @@ def _learn_policy(
     if kind == "table":
         return replay_into_table(transitions, n_primitive, gamma=settings.gamma, sweeps=settings.sweeps)
     return replay_into_network(
-        transitions, n_primitive, gamma=settings.gamma, updates=settings.network_updates, generator=generator
+        transitions, n_primitive, gamma=settings.gamma, updates=NETWORK_UPDATES, generator=generator
     )
 
 

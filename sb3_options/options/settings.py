@@ -20,9 +20,6 @@ class OptionLearningSettings:
         initiation_steps: n: the states of the last n primitive steps before the first visit of the subgoal enter I.
         initiation_radius: An observation lies in I if its features are within this distance, in scaled units, of a
             state that entered I.
-        min_reach: Of an option on a group of features: I keeps the states from where the saved steps promise to reach
-            the subgoal within n steps with at least this probability (`reach.reliable_part`); 0 keeps all. With none
-            left there is no option.
         max_duration: Longest run of the option, primitive steps; on a group of features at most n, too.
         leave_reward: Reward for the step that leaves I, or ends the episode elsewhere than at the subgoal, below 0. The
             default is worse than any run of ``max_duration`` steps (`tasks` has the rewards of other steps).
@@ -30,7 +27,6 @@ class OptionLearningSettings:
         value_function: ``table`` for observations that repeat, ``network`` for those that do not, or ``auto``:
             a table if the transitions of I have at most half as many distinct observations as there are transitions.
         sweeps: Most sweeps through the saved transitions for a table; it stops when nothing changes any more.
-        network_updates: Gradient steps for a network.
         grow: Whether an option is learned anew, initiation set and policy, from all saved trajectories each time
             twice as many of them have reached its subgoal. An option from a file gains what is learned here.
     """
@@ -38,13 +34,11 @@ class OptionLearningSettings:
     policy_input: PolicyInput = "observation"
     initiation_steps: Annotated[int, Field(ge=1)] = 15
     initiation_radius: Annotated[float, Field(ge=0)] = 0.5
-    min_reach: Annotated[float, Field(ge=0, le=1)] = 0.5
     max_duration: Annotated[int, Field(ge=1)] = 100
     leave_reward: Annotated[float, Field(lt=0, allow_inf_nan=False)] = -100.0
     gamma: Annotated[float, Field(gt=0, le=1)] = 0.99
     value_function: Literal["auto", "table", "network"] = "auto"
     sweeps: Annotated[int, Field(ge=1)] = 500
-    network_updates: Annotated[int, Field(ge=1)] = 2000
     grow: bool = True
 
 

@@ -87,11 +87,10 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
             f"{policy}{'Lstm' if config.algo == 'recurrentppo' else ''}Policy",
             env,
             seed=config.seed,
-            device=config.device,
             gamma=config.gamma,
             **arguments,
         )
-    except AssertionError as error:  # how SB3 refuses arguments
+    except (AssertionError, RuntimeError) as error:  # how SB3 and torch refuse arguments
         raise ValueError(f"{config.algo}: {error}") from error
     # SB3 seeds environment i with seed + i, so that the runs of seeds 0 and 1 would share all but one of them.
     env.seed(config.seed * env.num_envs)

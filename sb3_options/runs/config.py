@@ -85,7 +85,6 @@ class TrainConfig:
         eval_episodes: Episodes of an evaluation.
         eval_max_steps: Longest of them, in primitive steps; 0: any.
         vec_env: Where environments run: dummy, subproc or ray.
-        device: cpu, cuda or auto.
         progress: Show a progress bar.
         discovery: How subgoals are found.
         option: How options are learned.
@@ -113,7 +112,6 @@ class TrainConfig:
     eval_episodes: Count = 10
     eval_max_steps: Natural = 1_000
     vec_env: Literal["dummy", "subproc", "ray"] = "dummy"
-    device: Annotated[str, Field(pattern="^(auto|cpu|mps|cuda(:[0-9]+)?)$")] = "auto"
     progress: bool = True
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     option: OptionLearningSettings = field(default_factory=OptionLearningSettings)
@@ -127,7 +125,7 @@ GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings, "use
 SETTINGS = (*(f"{group}.{f.name}" for group, of in GROUPS.items() for f in dataclasses.fields(of)), *FIELDS)
 """The whole names of all settings."""
 
-HOW_IT_RAN = frozenset({"checkpoint_freq", "device", "progress", "tensorboard_log", "vec_env"})
+HOW_IT_RAN = frozenset({"checkpoint_freq", "progress", "tensorboard_log", "vec_env"})
 """Settings without effect on learning."""
 
 ARGUMENT = "algo_kwargs."

@@ -17,6 +17,7 @@ from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.summaries import log_run, log_settings
 from sb3_options.experience.option_run import OptionRun, Termination
+from sb3_options.options import creation
 from tests.callbacks.doorway import STEPS, model_of, same_options
 from tests.support.sb3_helpers import FAST_DISCOVERY, fast_callback, n_colours, optioned_rooms, small_rooms
 
@@ -44,9 +45,12 @@ def test_failures_before_the_first_reported_success_are_logged_with_it(n_envs: i
         assert list(model.ep_success_buffer) == successes[-100:]
 
 
-def test_a_subgoal_that_nothing_leads_to_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_subgoal_that_nothing_leads_to_is_told_once(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(creation, "MIN_REACH", 1.0)
     groups = [{"name": "place", "features": [0, 1], "labels": ["row", "column"]}]
-    callback = fast_callback(concepts={"groups": groups}, option_settings={"min_reach": 1.0, "value_function": "table"})
+    callback = fast_callback(concepts={"groups": groups}, option_settings={"value_function": "table"})
     with caplog.at_level(logging.WARNING, "sb3_options"):
         model_of(seed=0).learn(8 * STEPS, callback=callback)
     assert callback.discovery is not None

@@ -134,7 +134,7 @@ class TestSchedule:
 
     def test_groups_keep_to_it_too(self) -> None:
         groups = [FeatureGroup(str(i), (i,)) for i in range(30)]
-        settings = DiscoverySettings(min_positive=2, min_contrast=0.99, max_share=0.05)
+        settings = DiscoverySettings(min_positive=2, max_share=0.05)
         discovery = Discovery(settings, groups=groups)
         for seed in range(150):
             discovery.add(*wide(n=8, d=30, seed=seed))

@@ -63,11 +63,6 @@ def test_the_subgoal_is_in_the_features_of_the_group_that_matters() -> None:
     assert inside.tolist() == [True, True, False, False]
 
 
-def test_without_contrast_what_all_have_in_common_is_found_too() -> None:
-    found = discovered([WALL, KEY], DiscoverySettings(**{**vars(SOON), "min_contrast": -1.0, "spacing": 0.5})).found
-    assert {f.subgoal.group for f in found} == {WALL, KEY}
-
-
 def test_a_pair_must_contrast_more_than_its_parts() -> None:
     assert {f.subgoal.group for f in discovered([KEY, WALL, BOTH]).found} == {KEY}
 
@@ -95,7 +90,7 @@ def test_what_persists_is_no_subgoal_while_its_bags_are_empty(monkeypatch: pytes
 
 
 def test_where_nothing_stands_out_it_says_so() -> None:
-    assert "Lower min_contrast." in discovered([WALL]).why_nothing()
+    assert "much more often than failures do" in discovered([WALL]).why_nothing()
 
 
 def test_the_picture_names_the_subgoals() -> None:

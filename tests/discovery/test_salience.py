@@ -138,7 +138,7 @@ def test_a_database_goes_on_with_its_state() -> None:
 
 def why_nothing(n_rare: int, n_successes: int, **settings: Any) -> str:
     """After 16 that came upon nothing rare."""
-    how = {"min_positive": 4, "salient_share": 0.5, "min_contrast": 0.2, "start_radius": 0, "goal_radius": 0}
+    how = {"min_positive": 4, "salient_share": 0.5, "start_radius": 0, "goal_radius": 0}
     discovery = Discovery(DiscoverySettings(**{**how, **settings}), groups=GROUPS[:2])
     lives = [usual() for _ in range(16)] + [rare() for _ in range(n_rare)]
     for life in [*lives, *(lived([NOTHING, NEAR, BEHIND], success=True) for _ in range(n_successes))]:
@@ -162,7 +162,7 @@ def test_why_nothing_counts_what_stands_for_successes() -> None:
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_subgoals_are_found_before_anything_succeeds(share: float, caplog: pytest.LogCaptureFixture) -> None:
     settings = DiscoverySettings(
-        start_radius=0, goal_radius=0, min_positive=4, decay=0.5, threshold=0.5, salient_share=share, min_contrast=0.2
+        start_radius=0, goal_radius=0, min_positive=4, decay=0.5, threshold=0.5, salient_share=share
     )
     discovery = Discovery(settings, groups=GROUPS[:2])
     rng = np.random.default_rng(0)

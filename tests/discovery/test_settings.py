@@ -60,7 +60,6 @@ OUT_OF_RANGE: dict[str, tuple[Any, ...]] = {
     "negative_strength": (-0.5, 1.5, math.nan),
     "max_share": (0.0, -0.5, 1.5, math.nan),
     "scale": (0.0, -1.0, math.nan, math.inf),
-    "min_contrast": (-1.1, 1.0, math.nan),
     "decay": (0.0, 1.0, math.nan),
     "search": ("random", None),
     "method": ("hand", None),

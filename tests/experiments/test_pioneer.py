@@ -14,6 +14,7 @@ from experiments.pioneer.__main__ import GROUPS, Study, main
 from experiments.pioneer.report import Report
 from experiments.pioneer.report import main as fill_in
 from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
+from sb3_options.options import creation
 from sb3_options.runs.config import configure
 
 TINY = PioneerSettings(
@@ -23,8 +24,12 @@ TINY = PioneerSettings(
     step_limit=300,
     min_positive=2,
     threshold=0.05,
-    network_updates=20,
 )
+
+
+@pytest.fixture(autouse=True)
+def _learned_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(creation, "NETWORK_UPDATES", 20)
 
 
 @pytest.mark.slow

@@ -10,8 +10,14 @@ pytest.importorskip("mujoco")
 
 from experiments.pioneer.settings import PioneerSettings
 from experiments.pioneer.twin import Study, main
+from sb3_options.options import creation
 
-TINY = PioneerSettings(trials=8, step_limit=60, min_positive=2, threshold=0.05, network_updates=20)
+TINY = PioneerSettings(trials=8, step_limit=60, min_positive=2, threshold=0.05)
+
+
+@pytest.fixture(autouse=True)
+def _learned_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(creation, "NETWORK_UPDATES", 20)
 
 
 def test_an_option_is_tried_in_both_and_again_from_its_file(tmp_path: Path) -> None:

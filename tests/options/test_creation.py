@@ -8,6 +8,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
+from sb3_options.options import creation
 from sb3_options.options.creation import (
     OptionGrowth,
     joined,
@@ -41,7 +42,7 @@ class TestLearnOption:
         assert self.learn(walk([1, 2, 3, 4]), walk([9, 8, 7])) is None
         assert self.learn(walk([5, 6, 7])) is None
 
-    def test_on_a_group_of_features_nothing_else_counts(self) -> None:
+    def test_on_a_group_of_features_nothing_else_counts(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """The place is feature 1; feature 2 says where there is a place at all, the others are noise."""
         noise = np.random.default_rng(0)
         group = FeatureGroup("place", [1, 2], present=[[2]], scale=[1, 10])
@@ -55,7 +56,8 @@ class TestLearnOption:
         for trajectory in self.trajectories:
             places = trajectory.features[:, 0]
             known.append(replace(trajectory, features=seen(places, (places != 2).astype(float))))
-        all_states = OptionLearningSettings(initiation_steps=4, min_reach=0)
+        all_states = OptionLearningSettings(initiation_steps=4)
+        monkeypatch.setattr(creation, "MIN_REACH", 0.0)
         option = learn_option(door, known, 2, all_states, generator())
         assert option is not None
         assert option.policy_input == "features"
@@ -65,10 +67,12 @@ class TestLearnOption:
         assert np.flatnonzero(bound.initiation(seen(places, np.ones(8)))).tolist() == [1, 3, 4]
         assert not bound.initiation(seen(places, np.zeros(8))).any()
         assert bound.policy(seen(places, np.ones(8)))[3:5].tolist() == [RIGHT] * 2
-        surer = learn_option(door, known, 2, replace(all_states, min_reach=0.4), generator())
+        monkeypatch.setattr(creation, "MIN_REACH", 0.4)
+        surer = learn_option(door, known, 2, all_states, generator())
         assert surer is not None
         np.testing.assert_array_equal(surer.initiation_set.points, [[3, 1], [4, 1]])  # from 1 nobody came
-        assert learn_option(door, known, 2, replace(all_states, min_reach=1.0), generator()) is None
+        monkeypatch.setattr(creation, "MIN_REACH", 1.0)
+        assert learn_option(door, known, 2, all_states, generator()) is None
 
     def test_an_option_sees_more_than_its_subgoal_says(self) -> None:
         """Feature 0 is the place, 1 says whether the way to the left is free; if it is not, there is one around."""
@@ -112,7 +116,7 @@ class TestLearnOption:
             places = known.features
             states = np.concatenate([places, noise.random((len(places), 3))], axis=1)
             noisy.append(replace(known, trajectory=replace(known.trajectory, states=states)))
-        option = self.learn(*noisy, policy_input="features", value_function=kind, network_updates=300)
+        option = self.learn(*noisy, policy_input="features", value_function=kind)
         assert option is not None
         bound = option.bind(lambda observations: np.asarray(observations)[:, :1])
         unseen = np.concatenate([np.arange(2.0, 5.0)[:, None], noise.random((3, 3))], axis=1)
@@ -127,9 +131,12 @@ class TestLearnOption:
             ("network", 5, NetworkPolicy),
         ],
     )
-    def test_kind_of_value_function(self, kind: str, n_walks: int, expected: type) -> None:
+    def test_kind_of_value_function(
+        self, kind: str, n_walks: int, expected: type, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(creation, "NETWORK_UPDATES", 1)
         walks = [walk([1, 2, 3, 4, 5])] * n_walks
-        option = self.learn(*walks, value_function=kind, network_updates=1)
+        option = self.learn(*walks, value_function=kind)
         assert option is not None
         assert type(option.option_policy) is expected
 

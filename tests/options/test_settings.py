@@ -6,7 +6,7 @@ import pytest
 
 from sb3_options.options.settings import OptionLearningSettings
 
-COUNTS = ("initiation_steps", "max_duration", "sweeps", "network_updates")
+COUNTS = ("initiation_steps", "max_duration", "sweeps")
 
 
 @pytest.mark.parametrize(
@@ -14,7 +14,7 @@ COUNTS = ("initiation_steps", "max_duration", "sweeps", "network_updates")
     [
         (COUNTS, (0, -1), "greater than or equal to 1"),
         (
-            ("initiation_steps", "max_duration", "sweeps", "network_updates"),
+            ("initiation_steps", "max_duration", "sweeps"),
             (1.5, math.nan),
             "a valid integer|a finite",
         ),

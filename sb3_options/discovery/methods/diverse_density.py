@@ -38,7 +38,7 @@ PEAK_TOLERANCE = 1e-3
 
 REMEDIES = {
     "start_radius and goal_radius": "is far enough from start and goal. Lower start_radius and goal_radius.",
-    "min_contrast": "they visit much more often than failures do. Lower min_contrast.",
+    "contrast": "they visit much more often than failures do. Name other groups of features.",
     "min_passing": "enough of the others pass too. Lower min_passing, or pass a feature_map in which places recur.",
     "cuts": "cuts off enough of the other states. The task may have no bottleneck.",
     "spacing": "is far enough from the subgoals of options. Lower spacing.",

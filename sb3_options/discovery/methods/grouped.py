@@ -11,7 +11,7 @@ import numpy as np
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import nominal_seconds
-from sb3_options.discovery.contrast import Contrast
+from sb3_options.discovery.contrast import MIN_CONTRAST, Contrast
 from sb3_options.discovery.diary import Diary
 from sb3_options.discovery.filters import Filters
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
@@ -90,11 +90,11 @@ class GroupedPeaks(Method):
                 self._cost += nominal_seconds(contrast=1, compared=n, cell=n_states * (n + n_states))
             for member in self.members.values():
                 assert member.contrast is not None  # each has one
-                if member.contrast.largest() >= self.settings.min_contrast:
+                if member.contrast.largest() >= MIN_CONTRAST:
                     member.search(experience)
                     self._cost += member.seconds(experience)
                 else:
-                    member.maker.emptied_by = "min_contrast"
+                    member.maker.emptied_by = "contrast"
         averages = [member.tracker.leading_average() for member in self.members.values()]
         self._leading = int(np.argmax(averages))
         return self.proposals(experience)
