@@ -130,14 +130,14 @@ class OptionKeeper:
         """Learn an option for the subgoal that was found last, and install it; None where none can be learned."""
         found = self.search.found[-1]
         where = found.where(self.search.kind)
+        option = None
         try:
             option = self._learn(subgoal, f"reach {where}", self.settings.policy_input)
-        except ValueError:
-            self.search.withdraw()
-            raise
+        finally:
+            if option is None:
+                self.search.withdraw()
         if option is None:
             self.search.diary.no_option(where)
-            self.search.withdraw()
             return None
         slot = self.options.bank.slots.index(None)
         self.options.install(slot, option)
@@ -146,9 +146,9 @@ class OptionKeeper:
         self.made.add(slot)
         self.growth.made(slot, subgoal, self.search.database)
         n_states = len(option.initiation_set.points)
-        found_here = DiscoveredOption(slot, episode, timestep, found.centre, where, found.log_density, n_states)
-        self.discoveries.append(found_here)
-        return self.discoveries[-1]
+        made = DiscoveredOption(slot, episode, timestep, found.centre, where, found.log_density, n_states)
+        self.discoveries.append(made)
+        return made
 
     def _learn_further(self, labelled: LabelledTrajectory) -> None:
         """Learn options anew for which a trajectory is worth it."""
