@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -14,7 +14,7 @@ from sb3_options.callbacks.tree import check_every_step
 from sb3_options.checked import is_number
 from sb3_options.embedding.settings import LEARNED
 from sb3_options.execution.features import MAX_FEATURES, flat_size
-from sb3_options.execution.vec_env import as_wrapper_sees, space_of_environments
+from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.observations import (
     FloatArray,
@@ -98,11 +98,12 @@ class IntrinsicRewardCallback(BaseCallback):
         self.scale = self.scale or ReturnScale(gamma, n_envs)
         if len(self.scale.returns) != n_envs:
             self.scale.returns = np.zeros(n_envs)
-        self.novelty = self.novelty or self._new_novelty(space_of_environments(self.training_env))
+        self.novelty = self.novelty or self._new_novelty()
         self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
 
-    def _new_novelty(self, space: spaces.Space[Any]) -> StateCounts | RandomNetworkDistillation:
+    def _new_novelty(self) -> StateCounts | RandomNetworkDistillation:
         venv = self.training_env
+        space = venv.unwrapped.observation_space
         if self.kind == "rnd":
             return RandomNetworkDistillation(flat_size(space), self.seed)
         if is_table_like(space):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize, VecTransposeImage
 from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 
@@ -26,16 +25,6 @@ def as_wrapper_sees(venv: VecEnv, observations: Any, *, normalized: bool = False
             observations = _newest_frame(venv.stacked_obs, observations)
         venv = venv.venv
     return observations
-
-
-def space_of_environments(venv: VecEnv) -> spaces.Space[Any]:
-    """The space of what `as_wrapper_sees` returns."""
-    space = venv.observation_space
-    while isinstance(venv, VecEnvWrapper):
-        if isinstance(venv, VecNormalize | VecTransposeImage | VecFrameStack):
-            space = venv.venv.observation_space
-        venv = venv.venv
-    return space
 
 
 def _channels_last(venv: VecTransposeImage, observations: Any) -> Any:
