@@ -66,6 +66,8 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
     """
     asked = EvaluateConfig(run, **settings)
     model = runs.BEST if asked.best else runs.MODEL
+    for name in (runs.CONFIG, model, runs.OPTIONS):
+        (run / name).stat()  # a file that is missing is named before an environment is made
     # What the run started with is in its own options file, too.
     config = replace(configs.load(run / runs.CONFIG, asked.trusted()), options=None)
     cameras: list[RecordFrames] = []

@@ -128,8 +128,8 @@ def train(config: TrainConfig, console: Console | None = None, *, resumed: Path 
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # small networks are fastest with one
     class_of(config.algo)  # an algorithm that is not installed leaves no folder
-    discovery = discovery_callback(config, verbose=1)
     with Interrupts() as interrupts:
+        discovery = discovery_callback(config, verbose=1)
         with closing(runs.make_env(config, 1, config.seed)) as env:  # an error leaves no folder
             get_obs_shape(env.observation_space)  # refuses what SB3 cannot learn from
             draws = mode_among(env.get_attr("metadata")[0]) is not None

@@ -190,7 +190,7 @@ def test_while_saving_it_changes_nothing(
 
 
 @pytest.mark.parametrize("times", [1, 2])
-@pytest.mark.parametrize("where", ["save", "make_model", "_DiscoveryCallback"])
+@pytest.mark.parametrize("where", ["save", "make_model", "SubgoalDiscoveryCallback"])
 def test_before_the_first_step_nothing_is_left(
     where: str, times: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
