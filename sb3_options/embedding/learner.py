@@ -103,7 +103,10 @@ class FeatureLearner:
             self._encoder.load_state_dict(self.map.encoder.state_dict())
             if not self.map.learned:
                 self._encoder.standardise_by(replay.observations)
-        end = min(self.updates, self.done + max(1, int(PAUSE_SECONDS / self._seconds_of_update(replay))))
+        # A gradient step encodes both observations of each pair.
+        n_numbers = min(2 * self.settings.batch_size, len(replay)) * math.prod(self.map.encoder.form.shape)
+        at_once = int(PAUSE_SECONDS / (UPDATE_SECONDS + NUMBER_SECONDS * n_numbers))
+        end = min(self.updates, self.done + max(1, at_once))
         for i in range(self.done, end):
             for group in self._optimizer.param_groups:
                 group["lr"] = self.settings.learning_rate * (1.0 - i / self.updates)
@@ -125,11 +128,6 @@ class FeatureLearner:
         self.map.scale /= self._step_length(replay, before, after)
         self.map.learned += 1
         return True
-
-    def _seconds_of_update(self, replay: Replay) -> float:
-        """Nominal seconds of a gradient step, which encodes both observations of each pair."""
-        n = min(2 * self.settings.batch_size, len(replay))
-        return UPDATE_SECONDS + NUMBER_SECONDS * n * math.prod(self.map.encoder.form.shape)
 
     def _update(self, replay: Replay) -> None:
         s = self.settings

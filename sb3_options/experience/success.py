@@ -87,7 +87,7 @@ def success_rule(given: SuccessRule | str) -> SuccessRule:
             return success_by_return(float(value))
         if name == "steps":
             return success_by_steps(int(value))
-        return {"reported": reported_success, "terminated": _terminated}[given]
+        return {"reported": reported_success, "terminated": lambda trajectory: trajectory.terminated}[given]
     except (KeyError, ValueError):
         raise ValueError(
             f"success takes 'reported', 'terminated', 'return:NUMBER' or 'steps:NUMBER', for instance return:30, got "
@@ -118,10 +118,6 @@ def tell_success(
     if not logged:
         logged.extend(before)
     info["is_success"] = said
-
-
-def _terminated(trajectory: Trajectory) -> bool:
-    return trajectory.terminated
 
 
 def learned_at(reached: Sequence[bool] | npt.NDArray[np.bool_]) -> int | None:

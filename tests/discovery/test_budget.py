@@ -89,6 +89,28 @@ def test_a_search_among_one_hot_codes_takes_about_what_was_measured(n: int, d: i
     assert measured / 2.5 < seconds_of_search([n], d, "categorical") < 2.5 * measured
 
 
+def test_bags_and_their_search_by_hand() -> None:
+    """Two walks of 40 states, 38 of which are instances; nothing is cut."""
+    discovery = costly()
+    for seed in (1, 2):
+        discovery.add(*wide(seed=seed))
+    discovery.search()
+    n, new, size = 76, 80, 300 + 4
+    bags = 2 * 5e-6 + new * (5e-6 + 300 * 2e-8 + n * size * 1.5e-10)
+    assert discovery.diary.spent == pytest.approx(bags + 4.5e-3 + n * (n / 4) * size * 7e-10)
+
+
+def test_contrast_by_hand() -> None:
+    """Four walks of eight states each; no member stands out enough to be searched."""
+    groups = [FeatureGroup("one", (0,))]
+    discovery = Discovery(DiscoverySettings(min_contrast=0.99), groups=groups)
+    for seed in range(4):
+        discovery.add(*wide(n=8, d=2, seed=seed))
+    discovery.search()
+    n_states = 8 * 4
+    assert discovery.diary.spent == pytest.approx(3e-4 + 4 * 4e-6 + n_states * (4 + n_states) * 1e-8)
+
+
 class TestSchedule:
     def test_costly_searches_become_rarer(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("sb3_options.discovery.diary.SHORTEST", 1000)
@@ -172,3 +194,4 @@ class TestMethods:
             discovery.add(*wide(n=8, d=2, seed=seed))
             discovery.search()
         assert method.n == told
+        assert discovery.diary.spent == pytest.approx(told * (seconds + 3.6e-4 + 7 * 5e-7 + 16 * 2e-8))
