@@ -86,7 +86,7 @@ class BagMaker:
 
     def cuts_off(self, instance: FloatArray) -> bool:
         """Whether an instance (d,) is known to cut off `MIN_CUT`; with less it would be no instance."""
-        return self.cuts is not None and bool(self.cuts.are_known(self.cuts.numbers(instance[None]))[0])
+        return self.cuts is not None and bool(self.cuts.are_known(instance[None])[0])
 
     def visited(self, labelled: LabelledTrajectory) -> None:
         """Add what a trajectory visited to the `cuts`."""
@@ -130,9 +130,7 @@ class BagMaker:
         passages: BoolArray = allowed & (self._passing.update([k.scaled for k in known]) >= self.settings.min_passing)
         left["min_passing"] = passages
         if self.cuts is not None:
-            for k in known:
-                k.numbers = self.cuts.numbers(k.states) if k.numbers is None else k.numbers
-            numbers = np.concatenate([k.numbers for k in known if k.numbers is not None])
+            states = np.concatenate([k.states for k in known])
             left["cuts"] = passages.copy()
-            left["cuts"][passages] = self.cuts.shares(numbers[passages]) >= MIN_CUT
+            left["cuts"][passages] = self.cuts.shares(states[passages]) >= MIN_CUT
         return left

@@ -31,7 +31,6 @@ class Way:
         scaled: The same in scaled units.
         allowed: Which of them the static filter leaves, (k,).
         far: Which are far from all other subgoals, (k,); empty before that is asked for.
-        numbers: Of the states in the `LocalCuts`, (k,); None before they are asked for.
     """
 
     labelled: LabelledTrajectory
@@ -40,7 +39,6 @@ class Way:
     scaled: FloatArray
     allowed: BoolArray
     far: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    numbers: IntArray | None = None
 
 
 @dataclass

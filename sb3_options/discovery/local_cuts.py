@@ -61,17 +61,19 @@ class LocalCuts:
                 near[other].add(one)
             self._shares[list(self._around({number for step in new for number in step}))] = np.nan
 
-    def numbers(self, features: FloatArray) -> IntArray:
-        """The numbers of some states that were added, (n,), which do not change; −1 for those that have none."""
+    def _numbers(self, features: FloatArray) -> IntArray:
+        """The numbers of some states, (n,); −1 for those that have none."""
         return np.array([self._number.get(key, -1) for key in keys_of(features)], dtype=np.int64)
 
-    def are_known(self, numbers: IntArray) -> BoolArray:
-        """Whether more than one trajectory visited each of some states, so that its share says something, (n,)."""
+    def are_known(self, features: FloatArray) -> BoolArray:
+        """Whether more than one trajectory visited each of some states (n, d), so that its share says something."""
+        numbers = self._numbers(features)
         known: BoolArray = (numbers >= 0) & (self._n_trajectories[numbers] > 1)
         return known
 
-    def shares(self, numbers: IntArray) -> FloatArray:
-        """What share of its surroundings each of some states cuts off from their largest part, (n,), in [0, 0.5]."""
+    def shares(self, features: FloatArray) -> FloatArray:
+        """What share of its surroundings each of some states (n, d) cuts off from their largest part, in [0, 0.5]."""
+        numbers = self._numbers(features)
         once = self._n_trajectories[numbers] == 1
         for number in set(numbers[np.isnan(self._shares[numbers]) & ~once].tolist()):
             self._shares[number] = self._computed(number)

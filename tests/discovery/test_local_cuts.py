@@ -29,7 +29,7 @@ def walked(cuts: LocalCuts, ways: Sequence[Sequence[tuple[float, ...]]]) -> Loca
 
 
 def shares_of(cuts: LocalCuts, states: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    return cuts.shares(cuts.numbers(np.asarray(states, dtype=np.float64)))
+    return cuts.shares(np.asarray(states, dtype=np.float64))
 
 
 def everywhere(world: GridWorld) -> list[list[tuple[float, ...]]]:
@@ -40,8 +40,8 @@ def everywhere(world: GridWorld) -> list[list[tuple[float, ...]]]:
 
 def test_what_more_than_one_trajectory_visited_is_known() -> None:
     cuts = walked(LocalCuts(), [[(0, 0), (1, 0)], [(1, 0), (2, 0)]])
-    numbers = cuts.numbers(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [9.0, 9.0]]))
-    assert cuts.are_known(numbers).tolist() == [False, True, False, False]
+    states = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [9.0, 9.0]])
+    assert cuts.are_known(states).tolist() == [False, True, False, False]
 
 
 def test_a_doorway_cuts_and_the_floor_does_not() -> None:
