@@ -103,7 +103,7 @@ def test_bags_and_their_search_by_hand() -> None:
 def test_contrast_by_hand() -> None:
     """Four walks of eight states each; no member stands out enough to be searched."""
     groups = [FeatureGroup("one", (0,))]
-    discovery = Discovery(DiscoverySettings(min_contrast=0.99), groups=groups)
+    discovery = Discovery(DiscoverySettings(), groups=groups)
     for seed in range(4):
         discovery.add(*wide(n=8, d=2, seed=seed))
     discovery.search()
