@@ -24,7 +24,7 @@ from experiments.minigrid.settings import GAMMA
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs.minigrid import DISCOVERY, make
-from sb3_options.runs.video import RecordFrames, captioned, video_file
+from sb3_options.runs.video import RecordFrames, captioned, write_beside
 
 Picture: TypeAlias = npt.NDArray[np.uint8]
 """(height, width, 3)."""
@@ -35,7 +35,6 @@ SETTINGS = {"n_steps": 128, "batch_size": 256, "n_epochs": 4, "learning_rate": 1
 N_ENVS = 16
 N_SLOTS = 4
 PIXELS = 16  # of a cell
-GAP = 12  # white pixels between the agents
 FPS = 6.0
 
 
@@ -64,12 +63,13 @@ def main(film: Study) -> None:
         options = Path(folder) / "options.safetensors"
         sides = [_played(film, _with_options(film, options), options), _played(film, _stock(film), None)]
     height, width = np.max([rooms.shape[:2] for side in sides for episode in side for rooms, _ in episode], axis=0)
-    with video_file(film.out, FPS) as video:
-        for one, other in zip(*sides, strict=True):
-            for i in range(max(len(one), len(other))):  # the agent that is there first waits
-                shown = (side[min(i, len(side) - 1)] for side in (one, other))
-                left, right = (captioned(_padded(rooms, height, width), caption) for rooms, caption in shown)
-                video(np.concatenate([left, np.full((len(left), GAP, 3), 255, dtype=np.uint8), right], axis=1))
+    shown: list[list[Picture]] = [[], []]
+    for episodes in zip(*sides, strict=True):
+        longest = max(map(len, episodes))
+        for side, episode in zip(shown, episodes, strict=True):
+            pictures = [captioned(_padded(rooms, height, width), caption) for rooms, caption in episode]
+            side += pictures + pictures[-1:] * (longest - len(pictures))  # the agent that is there first waits
+    write_beside(film.out, FPS, shown)
 
 
 def _stock(film: Study) -> BaseAlgorithm:

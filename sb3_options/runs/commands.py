@@ -24,6 +24,7 @@ class DemoConfig:
         out: Folder for the table and the picture.
         seeds: Number of repetitions.
         seed: Random seed of the first.
+        video: Film both agents of the first seed side by side.
         progress: Show a progress bar.
     """
 
@@ -31,6 +32,7 @@ class DemoConfig:
     out: Path = Path("runs/demo")
     seeds: Count = 3
     seed: int = 0
+    video: bool = False
     progress: bool = True
 
 

@@ -8,11 +8,14 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
+import gymnasium as gym
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+from sb3_contrib.common.maskable.evaluation import evaluate_policy
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import EveryNTimesteps
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -23,11 +26,14 @@ from sb3_options.runs.commands import EVAL_SEED, DemoConfig
 from sb3_options.runs.config import TrainConfig, configure, shipped
 from sb3_options.runs.folder import make_env
 from sb3_options.runs.training import discovery_callback
+from sb3_options.runs.video import RecordFrames, captioned, write_beside
 
 LEARNED = 0.9
 """Success rate of two evaluations in a row from which on an agent has learned the task."""
 
 EVALUATION_EPISODES = 20
+FILM_EPISODES = 3
+FILM_FPS = 12.0
 
 Result: TypeAlias = dict[str, Any]
 """One training in the target, as ``demo.json`` has it."""
@@ -65,20 +71,26 @@ def show_demo(config: DemoConfig, console: Console) -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     results: list[Result] = []
     found: list[list[DiscoveredOption]] = []
+    films: list[list[Any]] = []
     console.print(f"1. {claim.first}\n2. {claim.second}")
     for seed in range(config.seed, config.seed + config.seeds):
         path = config.out / f"options-{seed}.safetensors"
         found.append(_discover(claim, seed, path, progress=config.progress))
         subgoals = "; ".join(option.where for option in found[-1]) or "none"
         for arm, file in ((WITH, path), (WITHOUT, None)):
-            learning = _learn(claim, seed, file, progress=config.progress)
+            model, learning = _learn(claim, seed, file, progress=config.progress)
             results.append({"seed": seed, "arm": arm, "subgoals": subgoals, **learning})
+            if config.video and seed == config.seed:
+                films.append([captioned(picture, arm) for picture in _play(claim, seed, file, model)])
     console.print(table_of(results))
     numbers = json.dumps(sorted(results, key=lambda each: each["arm"] == WITHOUT), indent=2)
     (config.out / "demo.json").write_text(numbers + "\n", encoding="utf-8")
     picture = config.out / "demo.png"
-    figure_of(results, claim, found[0], _map(claim, config.seed)).savefig(picture, dpi=110)
+    figure_of(results, claim, found[0], _play(claim, config.seed)[0]).savefig(picture, dpi=110)
     console.print(f"Picture: {picture}")
+    if config.video:
+        write_beside(config.out / "demo.gif", FILM_FPS, films)
+        console.print(f"Film:    {config.out / 'demo.gif'}")
     console.print("Now in your environment: sb3-options train --env YOUR-ENV-ID   (or the lines in README)")
 
 
@@ -119,8 +131,8 @@ def _discover(claim: Claim, seed: int, options: Path, *, progress: bool) -> list
         return discovery.discoveries
 
 
-def _learn(claim: Claim, seed: int, options: Path | None, *, progress: bool) -> Result:
-    """Train in the target until it is learned: the steps and success rates of the evaluations."""
+def _learn(claim: Claim, seed: int, options: Path | None, *, progress: bool) -> tuple[BaseAlgorithm, Result]:
+    """Train in the target until it is learned: the agent, and the steps and success rates of the evaluations."""
     config = _target(claim, seed, options)
     with (
         closing(make_env(config, config.n_envs, seed)) as env,
@@ -128,15 +140,26 @@ def _learn(claim: Claim, seed: int, options: Path | None, *, progress: bool) -> 
     ):
         evaluations = _Evaluations(eval_env, EVAL_SEED + seed)
         callbacks = [discovery_callback(config), EveryNTimesteps(claim.evaluate_every, evaluations)]
-        make_model(config, env).learn(config.n_timesteps, callbacks, progress_bar=progress)
-    return {"learned_after": evaluations.learned(), "steps": evaluations.steps, "success": evaluations.success}
+        model = make_model(config, env).learn(config.n_timesteps, callbacks, progress_bar=progress)
+    found = {"learned_after": evaluations.learned(), "steps": evaluations.steps, "success": evaluations.success}
+    return model, found
 
 
-def _map(claim: Claim, seed: int) -> Any:
-    """A picture of how an episode of the target begins."""
-    with closing(make_env(_target(claim, seed, None), 1, EVAL_SEED + seed, render_mode="rgb_array")) as env:
-        env.reset()
-        return env.get_images()[0]
+def _play(claim: Claim, seed: int, options: Path | None = None, model: BaseAlgorithm | None = None) -> list[Any]:
+    """The pictures of greedy episodes in the target; without an agent, of how the first begins."""
+    pictures: list[Any] = []
+
+    def record(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        return RecordFrames(env, pictures.append, FILM_EPISODES)
+
+    config = _target(claim, seed, options)
+    with closing(make_env(config, 1, EVAL_SEED + seed, beneath=record, render_mode="rgb_array")) as env:
+        if model is None:
+            env.reset()
+        else:
+            env.env_method("set_slots", expect_empty=options is None)
+            evaluate_policy(model, env, FILM_EPISODES)  # type: ignore[arg-type]  # MaskablePPO
+    return pictures
 
 
 def table_of(results: Sequence[Result]) -> Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from itertools import count
 from pathlib import Path
@@ -26,6 +26,9 @@ CAPTION_MARGIN = (4, 2)
 
 DEFAULT_FPS = 15
 """Pictures per second where the environment does not say."""
+
+GAP = 12
+"""White pixels between two films."""
 
 MODES = ("rgb_array_list", "rgb_array")
 """Render modes that give pictures; the first one gives every picture of a step."""
@@ -94,6 +97,15 @@ def video_file(path: Path, fps: float) -> Iterator[Callable[[Any], None]]:
                 writer.append_data(np.pad(picture, odd, mode="edge"))  # the codec takes even sides
 
         yield take
+
+
+def write_beside(path: Path, fps: float, sides: Sequence[Sequence[Any]]) -> None:
+    """Write films of equal height side by side; one that is over waits in its last picture."""
+    gap = np.full((sides[0][0].shape[0], GAP, 3), 255, dtype=np.uint8)
+    with video_file(path, fps) as film:
+        for i in range(max(map(len, sides))):
+            left, right = (side[min(i, len(side) - 1)] for side in sides)
+            film(np.concatenate([left, gap, right], axis=1))
 
 
 def mode_among(metadata: Mapping[str, Any]) -> str | None:

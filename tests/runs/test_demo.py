@@ -31,10 +31,10 @@ SMALL = demo.CLAIMS["rooms"]._replace(
 )
 
 
-def test_a_demonstration_leaves_table_picture_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_demonstration_leaves_table_picture_film_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(demo.CLAIMS, "rooms", SMALL)
     printed = io.StringIO()
-    config = DemoConfig(out=tmp_path / "demo", seeds=1, seed=3, progress=False)
+    config = DemoConfig(out=tmp_path / "demo", seeds=1, seed=3, video=True, progress=False)
     demo.show_demo(config, Console(file=printed, width=120))
     with_option, without = json.loads((tmp_path / "demo/demo.json").read_text())
     assert (with_option["arm"], without["arm"]) == (demo.WITH, demo.WITHOUT)
@@ -45,6 +45,9 @@ def test_a_demonstration_leaves_table_picture_and_options(tmp_path: Path, monkey
     assert len(bank) == 1
     assert with_option["subgoals"] in printed.getvalue()
     assert iio.imread(tmp_path / "demo/demo.png").std() > 0
+    film = iio.imread(tmp_path / "demo/demo.gif")
+    assert len(film) > 2
+    assert film.shape[2] > 2 * film.shape[1]  # two wide maps side by side
 
 
 def test_subgoals_on_a_map_with_a_key_are_marked_at_their_cells() -> None:
