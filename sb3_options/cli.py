@@ -141,10 +141,11 @@ def parse_command(command: str, args: Sequence[str]) -> Any:
         _show_help_of(command, first)
     if words:
         flags[first] = words
-    for name in flags.keys() - fields.keys():
+    types = {name: fields[name.removeprefix("no_")].type for name in flags if name.removeprefix("no_") in fields}
+    for name in flags.keys() - types.keys():
         raise ValueError(f"{command}: there is no setting {name!r}.{configs.near(name, {n: n for n in fields})}")
     try:
-        return of(**dict(_value(name, texts, fields[name].type) for name, texts in flags.items()))
+        return of(**dict(_value(name, texts, types[name]) for name, texts in flags.items()))
     except ValueError as error:
         raise ValueError(f"{command}: {str(error).removeprefix(f'{of.__name__}: ')}") from None
 

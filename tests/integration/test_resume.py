@@ -41,7 +41,6 @@ net_arch: [8]
 eval_freq: 700
 eval_episodes: 1
 checkpoint_freq: 400
-compare: true
 progress: false
 discovery: {min_positive: 3, start_radius: 0.5, goal_radius: 3.0, decay: 0.5}
 """
