@@ -34,8 +34,6 @@ def content_in(source: Source) -> bytes:
     if isinstance(source, bytes):
         return source
     path = Path(source)
-    if not path.is_file():
-        raise FileNotFoundError(f"There is no file of options or of a model at {path}.")
     with path.open("rb") as file:
         if file.read(4) != b"PK\3\4":
             file.seek(0)

@@ -115,7 +115,7 @@ def test_a_model_that_has_none_says_so(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"model\.zip holds no options: its model was saved without a callback"):
         load_model(DQN, tmp_path / "model.zip", optioned_rooms())
     for name in ("other", "other.zip"):
-        with pytest.raises(FileNotFoundError, match=r"^There is no file of options or of a model at .*other\.zip\.$"):
+        with pytest.raises(FileNotFoundError, match=r"No such file or directory: .*other\.zip"):
             load_model(DQN, tmp_path / name, optioned_rooms())
 
 
