@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks import checkpoint_state
 from sb3_options.callbacks.tree import all_callbacks, check_every_step, evaluation_envs
+from sb3_options.checked import whole
 from sb3_options.checkpoints import environments, models
 from sb3_options.checkpoints.file import CheckpointFolder
 from sb3_options.checkpoints.tree import State
@@ -211,10 +212,12 @@ def load_checkpoint(
         raise ValueError("load_checkpoint needs a CheckpointCallback among the callbacks: it puts everything back.")
     file, state = CheckpointFolder(folder).newest()
     try:
-        there, steps = state["model"]["class"], int(state["model"]["counters"]["num_timesteps"])
-    except (KeyError, TypeError, ValueError) as error:
+        there, steps = state["model"]["class"], state["model"]["counters"]["num_timesteps"]
+    except (KeyError, TypeError) as error:
         raise ValueError(f"{file} is no checkpoint of a training: {error!r}") from error
+    if not whole(steps, 0):
+        raise ValueError(f"{file} is no checkpoint of a training: num_timesteps={steps!r}")
     if there != type(model).__name__:
         raise ValueError(f"The checkpoint is of {there}, the model is {type(model).__name__}.")
     own[0].resume_from(state)
-    return steps
+    return int(steps)
