@@ -71,7 +71,7 @@ class PrimitiveStepsCallback(BaseCallback):
     ``train_freq``, ``target_update_interval`` and ``eval_freq`` of an ``EvalCallback`` still count decisions, and so
     does ``n_steps``, unless ``primitive_rollouts`` says otherwise. A rollout may be many more primitive steps. Hence
     on-policy training ends in the middle of one when the budget is used up (SB3's last rollout is counted in full, as
-    if every action were one step); that rollout is not learned from.
+    if every action were one step); that rollout is not learned from. No schedule sees a progress below 0.
 
     Args:
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps: a rollout has as many
@@ -162,6 +162,8 @@ class PrimitiveStepsCallback(BaseCallback):
         extra = math.ceil(sum([run.duration for run in runs])) - len(runs)  # a user's durations may be fractions
         self.model.num_timesteps += extra
         self.num_timesteps = self.model.num_timesteps
+        # A last option may end beyond the budget, and schedules would see a progress below 0.
+        self.model._total_timesteps = max(self.model._total_timesteps, self.num_timesteps)
         for each in all_callbacks(self.locals.get("callback")) if extra else ():
             if isinstance(each, ProgressBarCallback):
                 each.pbar.update(extra)

@@ -1,4 +1,4 @@
-"""The command line: train a run, resume it, evaluate it, compare runs, show options.
+"""The command line: train a run, resume it, evaluate it, compare runs, search settings, show options.
 
 What a command runs is imported when it runs, so the help is shown at once.
 """
@@ -22,7 +22,7 @@ from rich.table import Table
 
 from sb3_options.runs import config as configs
 from sb3_options.runs import yaml_file
-from sb3_options.runs.commands import CompareConfig, DemoConfig, EvaluateConfig, InspectConfig, ResumeConfig
+from sb3_options.runs.commands import CompareConfig, DemoConfig, EvaluateConfig, InspectConfig, ResumeConfig, TuneConfig
 from sb3_options.runs.config import FIELDS, GROUPS, IMPORTING, TrainConfig, flag, program
 
 USAGE = 2
@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[type[Any], str]] = {
     "evaluate": (EvaluateConfig, "evaluation:show_evaluation"),
     "resume": (ResumeConfig, "training:resume"),
     "compare": (CompareConfig, "compare:show_comparison"),
+    "tune": (TuneConfig, "tune:tune"),
     "options": (InspectConfig, "report:show_options"),
 }
 """What a command takes, and the module and function in ``sb3_options.runs`` that it calls."""
@@ -49,7 +50,7 @@ INTRODUCTION = """Train an agent that discovers its own options, or evaluate one
   demo              shows the gain in two minutes
   evaluate RUN      plays a run again; `resume RUN` goes on with one
   compare RUN ...   sets runs side by side; `options RUN` shows its options
-  --config FILE     reads settings, flags win over it
+  --config FILE     reads settings, flags win over it; `tune FILE` searches them
   --n-steps 64      any argument of SB3's class is a flag, too
   --help all        all settings of a run; --help discovery: how --method NAME
                     finds subgoals; --help option: how options are learned;

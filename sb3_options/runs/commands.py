@@ -107,6 +107,28 @@ class CompareConfig:
 
 
 @settings
+class TuneConfig(Trusting):
+    """Search for settings of training with Optuna: a file says what stays (base) and what varies (search).
+
+    Attributes:
+        space: YAML file with base (settings) and search (name: [values] or {low, high, log}).
+        out: Folder for trials, runs and best.yml. A search in it goes on.
+        trials: Sets of settings to try, earlier ones included.
+        seeds: Each is run on this many seeds, from 0. Judge it on others.
+        reach: What is to be reached in the fewest primitive steps (mean of logarithms): success=0.9, return=1.5 or
+            length=40; nothing that runs have from their start.
+        jobs: Trials at a time.
+    """
+
+    space: Path
+    out: Path = Path("tuned")
+    trials: Count = 30
+    seeds: Count = 3
+    reach: str = "success=0.9"
+    jobs: Count = 1
+
+
+@settings
 class InspectConfig:
     """Show the options of a run folder, an options file or a model.zip, without loading the model.
 

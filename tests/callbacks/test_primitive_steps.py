@@ -211,3 +211,26 @@ def test_two_callbacks_that_count_count_once(order: int) -> None:
     model.learn(300, callback=[*both[::order], spy])
     assert model.num_timesteps == sum(spy.durations)
     assert spy.counted == np.cumsum(spy.durations).tolist()
+
+
+@pytest.mark.parametrize("algorithm", [DQN, PPO, A2C])
+def test_no_schedule_sees_less_than_no_progress(algorithm: Any) -> None:
+    """With options of many steps the last rollout, or the last steps of one, lie far beyond the budget."""
+    seen: list[float] = []
+
+    def linear(progress_remaining: float) -> float:
+        seen.append(progress_remaining)
+        return progress_remaining * 1e-3
+
+    env = counting(terminate_at=170)
+    env.set_option(0, steady_option(max_duration=20))
+    if algorithm is DQN:
+        model: Any = dqn(env, learning_rate=linear, **RANDOM)
+        model.gradient_steps, model.learning_starts = 1, 10
+    else:
+        rollouts = {"n_steps": 32} | ({"batch_size": 32} if algorithm is PPO else {})
+        model = algorithm("MlpPolicy", env, gamma=0.9, learning_rate=linear, seed=0, device="cpu", **rollouts)
+    model.learn(990, callback=PrimitiveStepsCallback())
+    assert model.num_timesteps > 990
+    assert model._n_updates > 0
+    assert min(seen) >= 0.0
