@@ -29,7 +29,7 @@ def test_flags_win_over_the_file_wherever_they_stand(tmp_path: Path) -> None:
 def test_a_saved_configuration_is_read_back(algo: str, tmp_path: Path) -> None:
     config = parse([algo, "--seed", "5", "--env-kwargs", "max_steps:7", "--options", "a/run", "--net-arch", "3"])
     assert (config.algo, config.seed, config.env_kwargs) == (algo, 5, {"max_steps": 7})
-    assert config.algo_kwargs["policy_kwargs"] == {"net_arch": [3]}
+    assert config.algo_kwargs["policy_kwargs"]["net_arch"] == [3]
     configs.save(config, tmp_path / "config.yml")
     assert parse(["--config", str(tmp_path / "config.yml")]) == config
 
