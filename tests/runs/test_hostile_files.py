@@ -80,7 +80,7 @@ def test_is_refused_in_one_line(
     (run / runs.CONFIG).write_text(text.format(trace=trace))
     (run / runs.MODEL).touch()
     (run / runs.OPTIONS).touch()
-    before = sorted(path for path in tmp_path.rglob("*") if "__pycache__" not in path.parts)
+    before = sorted(path for path in tmp_path.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     began = time.monotonic()
     args = ["evaluate", str(run)] if how == "evaluate" else ["--config", str(run / runs.CONFIG), "--no-progress"]
     with pytest.raises(SystemExit) as stopped:
@@ -92,7 +92,7 @@ def test_is_refused_in_one_line(
     assert len(said.strip().splitlines()) == 1
     assert "evil_module" not in sys.modules
     assert not trace.exists()
-    assert before == sorted(path for path in tmp_path.rglob("*") if "__pycache__" not in path.parts)
+    assert before == sorted(path for path in tmp_path.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
 
 
 def test_the_command_line_itself_may_name_a_module(tmp_path: Path) -> None:
