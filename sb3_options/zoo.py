@@ -20,6 +20,9 @@ import gymnasium as gym
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 
+FILES = Path(__file__).with_name("rl_zoo3")
+"""Folder of the YAML files for rl-zoo3, one an algorithm: ``python -m sb3_options.zoo`` prints it."""
+
 PLAYERS = ("enjoy", "record_video", "push_to_hub")
 """The programs of rl-zoo3 that load a run."""
 
@@ -106,3 +109,7 @@ def _program() -> str:
             "`python -m rl_zoo3.enjoy` instead of `rl_zoo3 train` or `rl_zoo3 enjoy`."
         )
     return sys.orig_argv[sys.orig_argv.index(sys.argv[0]) + 1]
+
+
+if __name__ == "__main__":
+    print(FILES)

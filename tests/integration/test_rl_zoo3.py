@@ -1,4 +1,4 @@
-"""Train, play and record with rl-zoo3 itself, by the YAML files in examples/rl_zoo3."""
+"""Train, play and record with rl-zoo3 itself, by the YAML files that ship."""
 
 import csv
 import importlib.util
@@ -11,19 +11,17 @@ import pytest
 import yaml
 
 from sb3_options import OptionBank
-from sb3_options.zoo import loaded_model
+from sb3_options.zoo import FILES, loaded_model
 from tests.support import processes
 from tests.support.sb3_helpers import FAST_DISCOVERY, SMALL_ROOMS
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = ROOT / "examples" / "rl_zoo3"
 ENV = "sb3_options/TwoRooms-v0"
 RUN = "sb3_options-TwoRooms-v0_1"
 # So that the option is chosen now and then in play, whatever these few steps have taught.
 EXPLORING = {"dqn": ["exploration_final_eps:0.5"], "qrdqn": ["exploration_final_eps:0.5"]}
 # Eight environments at once end fewer episodes each, and options move in between rollouts.
 N_TIMESTEPS = {"dqn": 5000, "qrdqn": 2500, "ppo": 8000}
-FILES = sorted(EXAMPLES.glob("*.yml"))
 
 needs_zoo = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("rl_zoo3", "requests")),  # which it does not declare
@@ -33,9 +31,10 @@ needs_zoo = pytest.mark.skipif(
 
 def zoo(program: str, folder: Path, *arguments: str, env_id: str = ENV) -> str:
     """Run a program of rl-zoo3 as a user does, and return what it printed."""
+    (folder / "custom_envs.py").write_text("import sb3_options.envs\n")
     result = processes.python(
         "-m", f"rl_zoo3.{program}", "--env", env_id, *arguments,
-        cwd=folder, env={"PYTHONPATH": f"{ROOT}{os.pathsep}{EXAMPLES}", "OMP_NUM_THREADS": "1"},
+        cwd=folder, env={"PYTHONPATH": f"{ROOT}{os.pathsep}{folder}", "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
     assert result.returncode == 0, result.stdout[-2000:] + result.stderr[-4000:]
     return result.stdout
@@ -45,7 +44,7 @@ def train(folder: Path, algo: str, n_timesteps: int, *arguments: str) -> str:
     """Train with the file that ships, in the small rooms and with a discovery that finds their doorway soon."""
     callback = {"sb3_options.callbacks.ZooDiscoveryCallback": {"settings": FAST_DISCOVERY, "max_new_options": 1}}
     return zoo(
-        "train", folder, "--algo", algo, "--conf-file", str(EXAMPLES / f"{algo}.yml"), "--num-threads", "1",
+        "train", folder, "--algo", algo, "--conf-file", str(FILES / f"{algo}.yml"), "--num-threads", "1",
         "--n-timesteps", str(n_timesteps), "--seed", "0", "--eval-freq", "1000", "--eval-episodes", "2",
         "--env-kwargs", f"map:{SMALL_ROOMS.strip()!r}", "max_steps:150", "--hyperparams", f"callback:[{callback}]",
         *EXPLORING.get(algo, []), *arguments,
@@ -58,7 +57,7 @@ def filled_slots(path: Path) -> tuple[int, ...]:
     return bank.filled
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(FILES.glob("*.yml")), ids=lambda path: path.stem)
 def test_files_name_classes_that_are_there_and_one_gamma(path: Path) -> None:
     tasks: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
     for hyperparameters in tasks.values():
@@ -85,7 +84,7 @@ def test_the_guide_s_file_for_minigrid_trains(tmp_path: Path) -> None:
 
 @needs_zoo
 @pytest.mark.slow
-@pytest.mark.parametrize("algo", [path.stem for path in FILES])
+@pytest.mark.parametrize("algo", [path.stem for path in sorted(FILES.glob("*.yml"))])
 def test_train_enjoy_and_record(tmp_path: Path, algo: str) -> None:
     train(tmp_path, algo, N_TIMESTEPS[algo])
     run = tmp_path / "logs" / algo / RUN
