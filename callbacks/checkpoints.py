@@ -55,7 +55,9 @@ class CheckpointCallback(BaseCallback):
         verbose: int = 0,
     ) -> None:
         super().__init__(verbose)
-        self.folder, self.freq, self.end_when = CheckpointFolder(folder), freq, end_when
+        self.folder = CheckpointFolder(folder)
+        self.freq = freq
+        self.end_when = end_when
         self._there: int | None = None
         self._resumed: State | None = None
         self._last: int | None = None

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | None) -> None:
     """Refuse to begin where no options can be discovered, or with a callback that knows another model, ``before``."""
     check_every_step(callback)
-    model, venv, made = callback.model, callback.training_env, callback._keeper.made
+    model = callback.model
+    venv = callback.training_env
+    made = callback._keeper.made
     check_discovery(model, venv)
     # A model that was loaded again has the options that the callback made.
     again = before is None or before is model or (made and made <= set(venv.get_attr("bank", [0])[0].filled))

@@ -117,7 +117,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     def _on_training_start(self) -> None:
         self._ended = True
         self._began = len(self.history)
-        venv, use, keeper = self.training_env, self.use, self._keeper
+        venv = self.training_env
+        use = self.use
+        keeper = self._keeper
         check_training(self, None if self._installer is None else self._installer.model)
         self._start_counting()
         self._installer = OptionInstaller(

@@ -172,7 +172,9 @@ class OptionInstaller:
                 f"The checkpoint is of an environment with {len(state['slots'])} slots for options, and this one has "
                 f"{self.bank.max_options}: pass max_options={len(state['slots'])} to OptionsWrapper."
             )
-        self._pending, self._new, self._closing = state["pending"], state["new"], set(state["closing"])
+        self._pending = state["pending"]
+        self._new = state["new"]
+        self._closing = set(state["closing"])
         for slot, (there, here) in enumerate(zip(state["slots"], self.bank.slots, strict=True)):
             if isinstance(there, str):
                 if here is None or here.name != there:

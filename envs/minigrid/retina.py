@@ -208,7 +208,9 @@ def _doorway() -> dict[str, Any]:
 def _seeing(group: dict[str, Any]) -> dict[str, Any]:
     """A group with the features that its options see."""
     ahead = FEATURES.index("free_ahead")
-    features, present, scale = [*group["features"], ahead], group["present"], [*group["scale"], VISIBLE_SCALE]
+    features = [*group["features"], ahead]
+    present = group["present"]
+    scale = [*group["scale"], VISIBLE_SCALE]
     before = {"doorway": "open_door", "open_door": "closed_door"}.get(group["name"])
     if before is not None:
         door = _group(before)

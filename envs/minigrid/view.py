@@ -44,7 +44,9 @@ def image_of(env: Any) -> npt.NDArray[np.uint8]:
     """
     view = env.agent_view_size
     left, top, _, _ = env.get_view_exts(view)
-    width, height, cells = env.grid.width, env.grid.height, env.grid.grid
+    width = env.grid.width
+    height = env.grid.height
+    cells = env.grid.grid
     codes: list[bytes] = []
     transparent: list[bool] = []
     for dx, dy in _turned(env.agent_dir, view):

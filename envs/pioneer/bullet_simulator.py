@@ -111,7 +111,9 @@ class BulletSimulator(Simulator):
 
     def drive(self, left: float, right: float) -> Pose:
         """As `Simulator.drive`."""
-        p, client, robot = self.bullet.p, self.bullet.client, self._robot
+        p = self.bullet.p
+        client = self.bullet.client
+        robot = self._robot
         p.setJointMotorControlArray(
             robot, WHEELS, p.VELOCITY_CONTROL, targetVelocities=(left, right), forces=TORQUES, physicsClientId=client
         )

@@ -68,7 +68,9 @@ ACTIONS = (
 DEPOSIT_GAP = 0.2
 """A ball is close to a wall if its surface is this near, m."""
 
-DEPOSIT_REWARD, TOUCH_REWARD, STEP_REWARD = 10.0, -1.0, -0.1
+DEPOSIT_REWARD = 10.0
+TOUCH_REWARD = -1.0
+STEP_REWARD = -0.1
 """McGovern & Barto (2001), §7."""
 
 TICKS_PER_PICTURE = 3

@@ -113,7 +113,11 @@ class MuJoCoSimulator(Simulator):
 
     def ray_fractions(self, starts: Sequence[Point], ends: Sequence[Point]) -> list[float]:
         """As `Simulator.ray_fractions`."""
-        cast, model, data, groups, hit = self._mujoco.mj_ray, self.model, self.data, self._rays_meet, self._hit
+        cast = self._mujoco.mj_ray
+        model = self.model
+        data = self.data
+        groups = self._rays_meet
+        hit = self._hit
         origins = np.array(starts, dtype=np.float64)
         # MuJoCo measures a distance in lengths of the vector: that is a fraction; -1 where there is nothing.
         fractions = (

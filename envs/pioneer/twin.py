@@ -62,7 +62,9 @@ class PioneerMuJoCo(PioneerTask):
         self._deposited = [(x, y) for x, y in state["deposited"].tolist()]
         sightings = [Sighting(left, right) for left, right in state["sightings"].tolist()]
         self._sensed = Sensed(state["ranges"].tolist(), sightings)
-        self._elapsed, self._over, self._ticks = state["elapsed"], state["over"], state["ticks"]
+        self._elapsed = state["elapsed"]
+        self._over = state["over"]
+        self._ticks = state["ticks"]
         self._pictures = []
 
     def _make_simulator(self, *, window: bool) -> MuJoCoSimulator:

@@ -98,7 +98,9 @@ class Point:
         if self.scales == "fixed" or self.prior_width is None:
             return theta.new_zeros(theta.shape[1]), torch.zeros_like(theta)
         n_scales = 1 if self.scales == "one" else len(theta) // 2
-        scales, precision, gradient = theta[-n_scales:], self.prior_width**-2, torch.zeros_like(theta)
+        scales = theta[-n_scales:]
+        precision = self.prior_width**-2
+        gradient = torch.zeros_like(theta)
         logs = scales.abs().clamp(min=torch.finfo(theta.dtype).tiny ** 0.5).log()
         gradient[-n_scales:] = -precision * logs / scales
         return -precision / 2 * logs.square().sum(0), gradient

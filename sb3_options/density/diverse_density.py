@@ -41,7 +41,9 @@ SMALLEST_BAGS = 3
 """A gradient search tries the instances of so many positive bags: more than one, because a filter may have removed the
 concept's own instance from a bag."""
 
-ASCENDING, ASCENT_STEPS, SORTING_STEPS = 8, 12, 3
+ASCENDING = 8
+ASCENT_STEPS = 12
+SORTING_STEPS = 3
 """Points that ascend in a gradient search, most evaluations, and after which of them points that lie close merge."""
 
 ARRIVED = 1e-5
@@ -314,7 +316,9 @@ def _shortlist(evidence: Evidence, theta: Tensor, n: int) -> Tensor:
 def best_apart(points: FloatArray, loss: FloatArray, radius: float, n: int) -> list[int]:
     """Rows of up to ``n`` points (S, P), smallest loss first, each further than ``radius`` from every better one."""
     order = np.argsort(loss, kind="stable")
-    points, apart, kept = points[order], np.ones(len(order), dtype=bool), list[int]()
+    points = points[order]
+    apart = np.ones(len(order), dtype=bool)
+    kept = list[int]()
     for i, number in enumerate(order.tolist()):
         if apart[i]:
             kept.append(number)

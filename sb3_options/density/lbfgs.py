@@ -122,7 +122,11 @@ class BatchedLBFGS:
             )
             moved = moved * better
         self._pairs.add(moved, gradient - self._gradient)
-        self.theta, self.value, self._idle, self._length, self._gradient = tried, value, idle, length, gradient
+        self.theta = tried
+        self.value = value
+        self._idle = idle
+        self._length = length
+        self._gradient = gradient
         free = self._free()
         self._direction = torch.where(better, self._pairs.direction(self._gradient, free), self._direction)
         self.converged = (self._idle >= 2) | (self._length < SHORTEST) | self._flat(free)

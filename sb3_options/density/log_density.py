@@ -80,7 +80,9 @@ def log_diverse_density(
     check_finite("one of the points", t.detach().numpy())
     if not positive_scale(s.detach().flatten()):
         raise ValueError("scales must be positive and finite: a scale is one over a width")
-    t, s, likelihood = t - bags.origin, s.expand_as(t), Likelihood(negative_strength, leak)
+    t = t - bags.origin
+    s = s.expand_as(t)
+    likelihood = Likelihood(negative_strength, leak)
     if torch.is_grad_enabled() and (t.requires_grad or s.requires_grad):
         value: Tensor = _LogDiverseDensity.apply(t, s, bags, likelihood)  # type: ignore[no-untyped-call]  # torch's
     else:

@@ -85,7 +85,9 @@ def _quick(
     """
     precision = torch.finfo(columns.coefficients.dtype)
     arrays = workspace.take(segment, columns.coefficients.shape[1], columns.coefficients)
-    p, close, none = arrays.p, None, columns.centre[:0]
+    p = arrays.p
+    close = None
+    none = columns.centre[:0]
     scaled = exponents(columns, segment, likelihood)
     if not (columns.exact or likelihood.logistic):
         # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1, costs 1e-6 of it.

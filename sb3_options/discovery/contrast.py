@@ -140,7 +140,9 @@ class _Visits:
     def __init__(self, labelled: LabelledTrajectory, group: FeatureGroup, numbers: dict[bytes, int]) -> None:
         places = group.is_place(labelled.features)
         self.numbers = np.full(len(places), -1)
-        self.states, self.times, self.first = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), -1
+        self.states = np.zeros(0, dtype=np.intp)
+        self.times = np.zeros(0, dtype=np.intp)
+        self.first = -1
         if not places.any():
             return
         keys = map(_key, group.own(labelled.features[places]))

@@ -62,7 +62,9 @@ class _WatchedPipe:
     """The parent's end of the pipe to a worker, as far as ``SubprocVecEnv`` uses it."""
 
     def __init__(self, remote: Connection, venv: SubprocVecEnv, index: int) -> None:
-        self._remote, self._venv, self._index = remote, venv, index
+        self._remote = remote
+        self._venv = venv
+        self._index = index
         process = venv.processes[index]
         # A forked worker inherits the pipes of those that are forked after it, so that the loss of one closes nothing.
         self._sentinel: int | None = process.sentinel if type(process).__name__ == "ForkProcess" else None

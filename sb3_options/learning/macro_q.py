@@ -142,7 +142,9 @@ class MacroQ(MaskedPrediction):
             support_multi_env=True,
             seed=seed,
         )
-        self.gamma, self.epsilon, self.features = gamma, epsilon, features
+        self.gamma = gamma
+        self.epsilon = epsilon
+        self.features = features
         if _init_setup_model:
             self._setup_model()
 

@@ -77,7 +77,9 @@ class Successors:
 
     def returns(self, rows: Indices, n: int, rewards: Column, discounts: Column) -> NStepReturns:
         """The n-step returns from some rows, (batch,), given the rewards and the γᵏ of all rows of the buffer."""
-        last, total, discount = rows, rewards[rows], discounts[rows]
+        last = rows
+        total = rewards[rows]
+        discount = discounts[rows]
         for _ in range(n - 1):
             following = self.following[last]
             goes_on = following != END

@@ -198,7 +198,9 @@ class OptionReplayBuffer(ReplayBuffer):
             chosen = actions[i] if run.actions is None or run.index >= 0 else run.actions
             last = None if run.available is None else run.available[-1:]
             this = slice(i, i + 1)
-            decision, inner, follows = self.pos, NO_ROWS, self._follows(i, here)
+            decision = self.pos
+            inner = NO_ROWS
+            follows = self._follows(i, here)
             self._write(here, there, chosen[None], reward[this], done[this], timeout, run.discount, last)
             if self.macro_q and run.index >= 0 and run.actions is not None:
                 inner = (self.pos + np.arange(run.duration)) % self.buffer_size
@@ -281,7 +283,9 @@ class OptionReplayBuffer(ReplayBuffer):
             seen: Any = self._normalize_obs(cast("Any", take(stored.get("", stored), rows)), env)
             return {k: self.to_torch(v) for k, v in seen.items()} if isinstance(seen, dict) else self.to_torch(seen)
 
-        last, rewards, discounts = batch_inds, self.rewards[batch_inds], self.discounts[batch_inds]
+        last = batch_inds
+        rewards = self.rewards[batch_inds]
+        discounts = self.discounts[batch_inds]
         if self._successors is not None:
             last, rewards, discounts = self._successors.returns(batch_inds, self.n_steps, self.rewards, self.discounts)
         rewards = self._normalize_reward(rewards.reshape(-1, 1), env)

@@ -81,7 +81,10 @@ class NetworkPolicy:
     STATE = ("mean", "std", "weights", "biases")
 
     def __init__(self, mean: FloatArray, std: FloatArray, weights: list[FloatArray], biases: list[FloatArray]) -> None:
-        self.mean, self.std, self.weights, self.biases = mean, std, weights, biases
+        self.mean = mean
+        self.std = std
+        self.weights = weights
+        self.biases = biases
 
     def actions(self, observations: Observations) -> IntArray:
         """The greedy primitive action in each observation, shape (batch,)."""

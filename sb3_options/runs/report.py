@@ -78,7 +78,9 @@ def show_options(config: InspectConfig, console: Console) -> None:
 
 def closing_report(console: Console, trained: Trained, *, draws: bool) -> None:
     """Print what training found and how it went, and what follows."""
-    config, folder, discovery = trained.config, trained.folder, trained.discovery
+    config = trained.config
+    folder = trained.folder
+    discovery = trained.discovery
     unit = "episodes" if config.discovery.segmentation == "episodes" else "segments"
     steps = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}"
     console.print(f"\n[bold]{'Finished' if trained.finished else 'Interrupted'}[/] after {steps}.")
