@@ -23,6 +23,7 @@ exclude_patterns += [
 ]  # without them Sphinx would look for pages everywhere
 nitpicky = True
 nitpick_ignore_regex = [
+    (r"py:obj", r"ConfigDict"),  # of pydantic
     # Other libraries: without their inventories, which would have to be fetched, there is nothing to link to.
     (
         "py:.*",

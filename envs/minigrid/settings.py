@@ -18,6 +18,6 @@ DISCOVERY: dict[str, Any] = {
 """Arguments of `SubgoalDiscoveryCallback` that suit MiniGrid; ``train.py`` has them, too.
 
 Successes are rare at first, so discovery keeps many trajectories, and what is rarely come upon stands for them. On the
-few features of a group, near the start is nearly everywhere, and what stands out there need not persist for long. Options
-are learned anew as more is seen.
+few features of a group, near the start is nearly everywhere, and what stands out there need not persist for long.
+Options are learned anew as more is seen.
 """

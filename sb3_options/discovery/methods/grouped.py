@@ -30,11 +30,9 @@ class GroupedPeaks(Method):
     successful trajectory must stand out by its `Contrast`. There is a search when a trajectory has succeeded, and later
     when a few have (``search_growth``).
 
-    Attributes:
-        members: The search of each group.
     """
 
-    STATE: ClassVar[tuple[str, ...]] = ("members", "_leading", "_searched", "_n_successful", "_n_standing")
+    STATE: ClassVar[tuple[str, ...]] = ("_members", "_leading", "_searched", "_n_successful", "_n_standing")
 
     needs_success = True
     searches = True
@@ -42,7 +40,8 @@ class GroupedPeaks(Method):
 
     def __init__(self) -> None:
         self._contrasts: list[Contrast] = []  # of the smaller groups first, for each is compared with its parts
-        self.members: dict[FeatureGroup, PersistentPeaks] = {}
+        self._groups: tuple[FeatureGroup, ...] = ()
+        self._members: list[PersistentPeaks] = []  # in the order of the groups
         self._leading = 0
         self._searched = 0
         self._n_successful = 0
@@ -59,14 +58,20 @@ class GroupedPeaks(Method):
             radius = own.subgoal_radius / (own.scale or 1.0)
             contrasts[group] = Contrast(group, radius, parts)
         self._contrasts = list(contrasts.values())
-        self.members = {group: PersistentPeaks(contrasts[group]) for group in groups}
+        self._groups = tuple(groups)
+        self._members = [PersistentPeaks(contrasts[group]) for group in groups]
         for group, member in self.members.items():
             member.begin(own, Filters(own, filters.static_filter, filters.kind, group))
 
     @property
+    def members(self) -> dict[FeatureGroup, PersistentPeaks]:
+        """The search of each group."""
+        return dict(zip(self._groups, self._members, strict=True))
+
+    @property
     def _leader(self) -> PersistentPeaks:
         """The search of the group whose concept has the largest average."""
-        return list(self.members.values())[self._leading]
+        return self._members[self._leading]
 
     def is_due(self, database: TrajectoryDatabase) -> bool:
         """Whether enough trajectories have succeeded since the last search."""
@@ -88,20 +93,20 @@ class GroupedPeaks(Method):
                 contrast.update(trajectories)
                 n, n_states = len(trajectories), contrast.n_states
                 self._cost += nominal_seconds(contrast=1, compared=n, cell=n_states * (n + n_states))
-            for member in self.members.values():
+            for member in self._members:
                 assert member.contrast is not None  # each has one
                 if member.contrast.largest() >= MIN_CONTRAST:
                     member.search(experience)
                     self._cost += member.seconds(experience)
                 else:
                     member.maker.emptied_by = "contrast"
-        averages = [member.tracker.leading_average() for member in self.members.values()]
+        averages = [member.tracker.leading_average() for member in self._members]
         self._leading = int(np.argmax(averages))
         return self.proposals(experience)
 
     def proposals(self, experience: Experience) -> list[Region]:
         """Of the first group that has any. The others come with later searches."""
-        return next((found for each in self.members.values() if (found := each.proposals(experience.database))), [])
+        return next((found for each in self._members if (found := each.proposals(experience.database))), [])
 
     def accept(self, goal: Region) -> float:
         """Start the running averages of its group again; as `Method.accept`."""
