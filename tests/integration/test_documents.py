@@ -18,6 +18,7 @@ from experiments.pioneer import report as pioneer_report
 from sb3_options.cli import COMMANDS, parse, parse_command
 from tests.support import processes
 from tests.support.documents import (
+    PACKAGE,
     PAGES,
     README,
     ROOT,
@@ -62,9 +63,6 @@ assert model.num_timesteps >= 2000 > buffer.size()  # a crossing by ferry is one
 
 MOST_STEPS = 5_000
 """Longest training that a page may show without saying how long tests train."""
-
-
-PACKAGE = ROOT / "docs" / "package.md"
 
 
 def named(pages: Sequence[Path]) -> pytest.MarkDecorator:
