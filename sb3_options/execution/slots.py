@@ -47,6 +47,7 @@ class Traits(NamedTuple):
     max_options: int
     gamma: float
     max_runs: int | None
+    masks_primitives: bool  # whether the environment says which of its own actions may be taken
     observation_space: spaces.Space[Any]  # of what options act on; a wrapper above may have another
     feature_kind: FeatureKind | None  # None without a feature map
     feature_groups: tuple[FeatureGroup, ...]

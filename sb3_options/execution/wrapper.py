@@ -149,6 +149,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self.bank.max_options,
             self.gamma,
             self.max_runs,
+            self._has_masks,
             self.observation_space,
             features.kind if features else None,
             features.groups if features else (),

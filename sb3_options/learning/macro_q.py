@@ -170,6 +170,7 @@ class MacroQ(MaskedPrediction):
             self._n_primitive = self.env.get_attr("traits", [0])[0].n_primitive
             self.env.env_method("set_slots", report_availability=True)
         self._n_slots = self._n_actions - self._n_primitive
+        self._primitives = list(range(self._n_primitive))
 
     def learn(
         self,
@@ -201,6 +202,7 @@ class MacroQ(MaskedPrediction):
         self._table = self.policy.table()
         self._step_size = cast("float", self.learning_rate)  # the constructor takes no schedule
         choices = self._choices()
+        self._asks = self._n_slots > 0 and any(each.masks_primitives for each in self.env.get_attr("traits"))
         active = self._active(self._last_obs)
         goes_on, since = True, 0
         while goes_on and self.num_timesteps < total_timesteps:
@@ -230,7 +232,11 @@ class MacroQ(MaskedPrediction):
                 if log_interval is not None and any(over) and self._episode_num % log_interval == 0:
                     self._log()  # before a checkpoint, from which nothing is logged that came before it
                 callback.on_rollout_start()
-            choices = self._choices()
+                choices = self._choices()
+            elif self._asks:
+                choices = self._choices()
+            elif self._n_slots:
+                choices = [self._choices_after(run) for run in runs]
         callback.on_rollout_end()
         callback.on_training_end()
         return self
@@ -309,11 +315,18 @@ class MacroQ(MaskedPrediction):
         return values
 
     def _choices(self) -> list[list[int]]:
-        """Which actions may start now in each environment."""
+        """Which actions may start now in each environment, asked for when an episode has ended."""
         assert self.env is not None  # only asked while learning
         if self._n_slots:
             return [mask.nonzero()[0].tolist() for mask in self.env.env_method("action_masks")]
         return [list(range(self._n_actions))] * self.env.num_envs
+
+    def _choices_after(self, run: OptionRun | None) -> list[int]:
+        """Which actions may start after the step that ran this."""
+        if run is None or run.available is None:
+            return self._primitives
+        slots: list[bool] = run.available[-1].tolist()
+        return self._primitives + [self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start]
 
     def _explore(self, values: list[float], choices: list[int]) -> int:
         """ε-greedy among ``choices``, ties broken at random."""

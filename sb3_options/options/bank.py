@@ -13,7 +13,7 @@ from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
 from sb3_options.options.archive import Source
 from sb3_options.options.file import MAX_SLOTS, OptionsFile, SpaceSignature, check_signature, content_of, opened
-from sb3_options.options.option import Option, SubgoalOption
+from sb3_options.options.option import KnownFeatures, Option, SingleCache, SubgoalOption
 from sb3_options.options.sealed import errors_of
 
 
@@ -53,8 +53,10 @@ class OptionBank:
         self.observation_size = observation_size
         self.feature_size = feature_size
         self.signature = signature
+        self._shared: KnownFeatures | None = None
         self._slots: list[Option | None] = [None] * max_options
         self.filled: tuple[int, ...] = ()
+        self._forget_results()
 
     def copy(self) -> OptionBank:
         """The same options in slots of its own."""
@@ -105,6 +107,7 @@ class OptionBank:
         """Take ``feature_map`` for the discovered options there are and those to come."""
         self.feature_map = feature_map
         self._slots = [option and self._bound(option) for option in self._slots]
+        self._forget_results()
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
@@ -117,10 +120,19 @@ class OptionBank:
 
     def available_slots(self, observations: Observations) -> BoolArray:
         """Which options may start in each observation, shape (batch, max_options)."""
+        if self._by_data:
+            return self._known(self._computed_slots, observations).copy()
+        return self._computed_slots(observations)
+
+    def _computed_slots(self, observations: Observations) -> BoolArray:
         mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
         for slot in self.filled:
             mask[:, slot] = cast("Option", self._slots[slot]).initiation(observations)
         return mask
+
+    def _forget_results(self) -> None:
+        self._by_data = all(isinstance(self._slots[slot], SubgoalOption) for slot in self.filled)
+        self._known: SingleCache[BoolArray] = SingleCache()  # a hand-made option may remember something
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the discovered options to a safetensors file, atomically: arrays and JSON, nothing that can run.
@@ -172,19 +184,24 @@ class OptionBank:
             check_signature(file.made_for, self.signature, {entry.policy_input for entry in file.entries.values()})
 
     def _bound(self, option: Option) -> Option:
-        if isinstance(option, SubgoalOption) and self.feature_map is not None:
+        if not isinstance(option, SubgoalOption) or self.feature_map is None:
+            return option
+        if isinstance(self.feature_map, LearnedMap):  # it becomes another while it is learned
             return option.bind(self.feature_map)
-        return option
+        if self._shared is None or self._shared.of != self.feature_map:
+            self._shared = KnownFeatures(self.feature_map)
+        return option.bind(self._shared)
 
     def _put(self, slot: int, option: Option | None) -> None:
         self._slots[slot] = option
         self.filled = tuple(i for i, present in enumerate(self._slots) if present is not None)
+        self._forget_results()
 
     def __getstate__(self) -> dict[str, Any]:
         # Functions may not travel between processes; whoever receives the bank has a feature map of its own. A learned
         # one is data, and belongs to what `content` gives.
         learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
-        return {**self.__dict__, "feature_map": learned}
+        return {**self.__dict__, "feature_map": learned, "_shared": None, "_known": SingleCache()}
 
     def check_slot(self, slot: int) -> None:
         """Refuse an unknown slot."""

@@ -55,6 +55,18 @@ class SingleCache(Generic[Result]):
         return result
 
 
+class KnownFeatures:
+    """A feature map φ that caches the features of single observations, which all options of a bank need."""
+
+    def __init__(self, of: FeatureMap) -> None:
+        self.of = of
+        self._known: SingleCache[FloatArray] = SingleCache()
+
+    def __call__(self, observations: Observations) -> FloatArray:
+        """φ of a batch of observations, (batch, d)."""
+        return self._known(self.of, observations)
+
+
 class Option:
     """A temporally extended action: where it may start, what it does, and where it ends.
 
