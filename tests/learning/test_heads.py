@@ -1,4 +1,4 @@
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
 from sb3_options import OptionDQN, OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
-from sb3_options.learning.families import family_of
+from sb3_options.learning.families import family_of, forget_slot
 from tests.support.sb3_helpers import RANDOM, optioned_rooms
 
 N_PRIMITIVE, MAX_OPTIONS = 4, 3
@@ -220,3 +220,13 @@ def test_asking_a_network_leaves_it_as_it_is(algorithm: type[OffPolicyAlgorithm]
     model._last_obs = observations(1).numpy()
     family_of(model).check(model.get_env())
     assert all(torch.equal(before[name], value) for name, value in model.policy.state_dict().items())
+
+
+def test_a_slot_that_is_forgotten_may_start_nowhere_and_the_others_where_they_may() -> None:
+    model = OptionDQN("MlpPolicy", optioned_rooms(2), gamma=0.9, buffer_size=50, learning_starts=1_000)
+    model.learn(20, callback=PrimitiveStepsCallback())
+    buffer = cast("OptionReplayBuffer", model.replay_buffer)
+    buffer.next_available[:] = True
+    forget_slot(model, 0, 4)
+    assert not buffer.next_available[: buffer.size(), 0].any()
+    assert buffer.next_available[:, 1].all()

@@ -117,6 +117,12 @@ def test_an_option_teaches_its_steps_in_order_and_then_itself(monkeypatch: pytes
     assert tables[0][1].tolist() == pytest.approx([1.0, q11, 1.2, 1.3])
 
 
+def test_a_primitive_step_counts_options_that_may_start_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, tables = scripted(optioned([False, True, False, False, False, False], duration=2), [0, 0], monkeypatch)
+    assert tables[0][0, 0] == pytest.approx((0.0 + 1 + GAMMA * 1.3) / 2)
+    assert tables[1][1, 0] == pytest.approx((1.0 + 2 + GAMMA * 2.1) / 2)  # in 2 none may start
+
+
 def test_an_option_sees_what_its_own_steps_have_just_taught(monkeypatch: pytest.MonkeyPatch) -> None:
     """Order: a self-loop is updated before the option that ended there is."""
     env = OptionsWrapper(CountingEnv(1, step=lambda env, _: (np.zeros(1), 10.0, False, False, {})), 1, gamma=GAMMA)
