@@ -40,6 +40,8 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
             "for each model."
         )
     traits = venv.get_attr("traits")
+    if callback.settings.segmentation == "peaks" and any(each.max_runs is not None for each in traits):
+        raise ValueError("max_runs counts in an episode, and a continuing task has none: leave it out with peaks.")
     _check_same("feature maps", [each.feature_kind for each in traits])
     _check_same("max_runs", [each.max_runs for each in traits])
 

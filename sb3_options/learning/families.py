@@ -156,7 +156,7 @@ class ValueBased(Networks):
         if buffer is None:
             return
         if self.replay_buffer is None:
-            if type(buffer) not in STOCK_BUFFERS or buffer.size():
+            if type(buffer) not in STOCK_BUFFERS or buffer.size() or buffer.optimize_memory_usage:
                 raise ValueError(
                     f"{name} was built with {type(buffer).__name__}, which discounts an option of k steps with γ "
                     f"instead of γᵏ: pass {name}(..., replay_buffer_class=OptionReplayBuffer)."

@@ -102,7 +102,6 @@ def tune(config: TuneConfig, console: Console) -> TrainConfig:
 
 def _opened(folder: Path, job: int) -> optuna.Study:
     """The search in a folder, or a new one. Each job draws other settings, and so does a search that goes on."""
-    optuna.logging.set_verbosity(optuna.logging.INFO)
     storage = JournalStorage(JournalFileBackend(str(folder / JOURNAL)))
     study = optuna.create_study(storage=storage, study_name="settings", load_if_exists=True)
     study.sampler = optuna.samplers.TPESampler(seed=len(study.trials) + 10_000 * job, multivariate=True)
@@ -118,10 +117,9 @@ def _search(config: TuneConfig, space: SearchSpace, goal: Goal, job: int) -> Non
         runs = [space.config(proposed, seed, folder / str(seed)) for seed in range(config.seeds)]
         return sum(score(run, goal) for run in runs) / len(runs)
 
-    enough = MaxTrialsCallback(config.trials, states=(TrialState.COMPLETE,))
     study = _opened(config.out, job)
     if len(study.get_trials(states=(TrialState.COMPLETE,))) < config.trials:
-        study.optimize(mean_score, callbacks=[enough])
+        study.optimize(mean_score, callbacks=[MaxTrialsCallback(config.trials, states=(TrialState.COMPLETE,))])
 
 
 def score(run: TrainConfig, goal: Goal) -> float:

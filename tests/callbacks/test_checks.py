@@ -91,6 +91,13 @@ def test_a_stock_replay_buffer_is_replaced(callback: Any, n_steps: int) -> None:
         assert torch.equal(mine, theirs)
 
 
+def test_a_stock_replay_buffer_that_saves_memory_is_not_replaced_by_a_larger_one() -> None:
+    kwargs = {"handle_timeout_termination": False}
+    model = dqn(optioned_rooms(), replay_buffer_class=None, optimize_memory_usage=True, replay_buffer_kwargs=kwargs)
+    with pytest.raises(ValueError, match=r"DQN was built with ReplayBuffer, .*: pass DQN"):
+        model.learn(20, callback=PrimitiveStepsCallback())
+
+
 def test_a_stock_replay_buffer_that_holds_options_is_refused() -> None:
     model = dqn(optioned_rooms(), replay_buffer_class=None)
     model.learn(20)
@@ -103,6 +110,11 @@ class TestEvaluationEnvironment:
         callbacks: list[BaseCallback] = [SubgoalDiscoveryCallback(), EvalCallback(small_rooms())]
         with pytest.raises(ValueError, match="The environment of EvalCallback is not wrapped in OptionsWrapper: use"):
             dqn(optioned_rooms()).learn(20, callback=callbacks)
+
+    def test_a_limit_in_a_continuing_task(self) -> None:
+        limited = OptionsWrapper(small_rooms(), gamma=0.9, max_runs=3)
+        with pytest.raises(ValueError, match="max_runs counts in an episode, and a continuing task has none"):
+            dqn(limited).learn(20, callback=SubgoalDiscoveryCallback({"segmentation": "peaks"}))
 
     def test_other_slots(self) -> None:
         callbacks: list[BaseCallback] = [SubgoalDiscoveryCallback(), EvalCallback(optioned_rooms(3))]
