@@ -2,6 +2,7 @@ import dataclasses
 import functools
 import io
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import imageio.v3 as iio
@@ -24,6 +25,7 @@ from sb3_options.options.creation import learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
+from tests.discovery.drawn import all_of_them
 from tests.discovery.lines import peaks_of
 from tests.support.helpers import steady_option, trajectory_of
 from tests.support.sb3_helpers import n_colours, small_rooms
@@ -86,6 +88,11 @@ def maps(discovery: Discovery, bank: OptionBank) -> dict[str, Axes]:
 
 def patches(axes: Axes) -> PatchCollection:
     return next(c for c in axes.collections if isinstance(c, PatchCollection))
+
+
+def test_figures_look_as_they_did() -> None:
+    """Where a change is meant, `drawn` says how to write the text anew."""
+    assert all_of_them() == Path(__file__).with_name("figures.txt").read_text("utf-8")
 
 
 def test_diverse_density_is_the_engines_in_every_cell_seen() -> None:
