@@ -83,6 +83,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         seed: int = 0,
         verbose: int = 0,
     ) -> None:
+        if isinstance(settings, Mapping) and "callback" in settings:  # SB3 calls what is not an object with its locals
+            raise TypeError("The callback is a class: pass an object, callback=SubgoalDiscoveryCallback().")
         self.use = given_as(OptionUse, {} if use is None else use)
         super().__init__(verbose, primitive_rollouts=self.use.primitive_rollouts)
         self.settings = given_as(DiscoverySettings, {} if settings is None else settings)
@@ -123,10 +125,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         check_training(self, None if self._installer is None else self._installer.model)
         self._start_counting()
         self._installer = OptionInstaller(
-            self.model,
-            venv,
-            self.locals.get("callback"),
-            max_option_exploration=use.max_option_exploration,
+            self.model, venv, self.locals.get("callback"), max_option_exploration=use.max_option_exploration
         )
         keeper.features = features_for(keeper.features, self._installer, self.embedding, self.seed)
         if keeper.features is not None:

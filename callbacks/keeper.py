@@ -192,7 +192,7 @@ class OptionKeeper:
         if self.features is not None and (waits := self.features.why_not_ready(self.search.diary.n)) is not None:
             return waits
         if len(self.options.bank) == self.options.bank.max_options:
-            return "There was no free slot for an option: raise max_options."
+            return "There was no free slot for an option: raise max_options (--max-options)."
         return self.search.why_nothing(episodes)
 
     def _learn(self, subgoal: Region, name: str, policy_input: PolicyInput) -> SubgoalOption | None:

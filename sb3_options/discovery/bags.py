@@ -121,7 +121,7 @@ class BagMaker:
         All ways at once, way after way: a call for each of a hundred takes longer than what it computes.
         """
         allowed: BoolArray = np.concatenate([k.allowed for k in known])
-        left = {"start_radius and goal_radius": allowed}
+        left = {"radii": allowed}
         if self.contrast is not None:
             outstanding = [self.contrast.stands_out(k.labelled)[k.rows] for k in known]
             return left | {"contrast": np.concatenate(outstanding) & allowed}

@@ -100,14 +100,15 @@ class Diary:
             return f"No subgoal was discovered: {unusable}"
         why = f"No subgoal was discovered: {self._first_reason(method)}"
         if self.skipped and method.n_successes(self):
-            why += f" {self.skipped} searches were left out to save time: raise max_share={self.max_share:g}."
+            why += f" {self.skipped} searches were left out to save time: raise max_share (--discovery.max-share)."
         return f"{why} And {unusable}" if self.n_unusable else why
 
     def _first_reason(self, method: Method) -> str:
         if self.n == 0:
             return (
-                f"no {self.unit} has ended. Train for longer, or set a time limit: gym.make(..., "
-                'max_episode_steps=500). A task without an end needs segmentation="peaks".'
+                f"no {self.unit} has ended. Train for longer, or set a time limit: max_episode_steps=500 in gym.make "
+                '(--env-kwargs max_episode_steps:500). An endless task needs segmentation="peaks" '
+                "(--discovery.segmentation peaks)."
             )
         if method.needs_success and not method.n_successes(self):
             why = (
@@ -115,8 +116,8 @@ class Diary:
                 f"truncated, returns {self.lowest:g} to {self.highest:g}). "
             )
             if self.terminated and self.lowest < self.highest and not self.reported:
-                return why + 'Say what counts as a success: success="terminated", or success="return:NUMBER".'
-            return why + 'Train for longer, or add an exploration bonus, to PPO or A2C: IntrinsicRewardCallback("rnd").'
+                return why + 'Say what counts as a success: success="terminated" or "return:NUMBER" (--success).'
+            return why + 'Train for longer, or let PPO or A2C explore by IntrinsicRewardCallback("rnd") (--bonus rnd).'
         if self.n_withdrawn:
             return "no saved trajectory leads to the subgoal reliably enough. Train for longer."
         return method.why_nothing(self)

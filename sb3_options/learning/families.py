@@ -156,11 +156,7 @@ class ValueBased(Networks):
         if buffer is None:
             return
         if self.replay_buffer is None:
-            if type(buffer) not in STOCK_BUFFERS or buffer.size() or buffer.optimize_memory_usage:
-                raise ValueError(
-                    f"{name} was built with {type(buffer).__name__}, which discounts an option of k steps with γ "
-                    f"instead of γᵏ: pass {name}(..., replay_buffer_class=OptionReplayBuffer)."
-                )
+            self._check_stock(irreplaceable=buffer.size() or buffer.optimize_memory_usage)
             self._use_option_buffer(self.model.action_space)
         n_steps = getattr(self.model, "n_steps", 1)
         if n_steps > 1 and self.model.replay_buffer.n_steps != n_steps:
@@ -168,6 +164,11 @@ class ValueBased(Networks):
                 f"SB3 does not pass n_steps={n_steps} on to OptionReplayBuffer: pass "
                 f"{name}(..., replay_buffer_kwargs={{'n_steps': {n_steps}}}) instead of n_steps."
             )
+
+    def check_heads(self) -> None:
+        """Also refuse a replay buffer of a user's own class, which has no place for the steps inside options."""
+        super().check_heads()
+        self._check_stock()
 
     def check(self, venv: VecEnv) -> None:
         """Also refuse stacked frames that could not be stored, and a clip of sums of rewards."""
@@ -202,6 +203,16 @@ class ValueBased(Networks):
             self.replay_buffer.action_space = actions
         else:
             self._use_option_buffer(actions)
+
+    def _check_stock(self, *, irreplaceable: bool = False) -> None:
+        """Refuse a replay buffer that none of ours may replace."""
+        buffer, name = self.model.replay_buffer, type(self.model).__name__
+        known = self.replay_buffer is not None or type(buffer) in (*STOCK_BUFFERS, type(None))
+        if irreplaceable or not known:
+            raise ValueError(
+                f"{name} was built with {type(buffer).__name__}, which discounts an option of k steps with γ instead "
+                f"of γᵏ: pass {name}(..., replay_buffer_class=OptionReplayBuffer)."
+            )
 
     def _use_option_buffer(self, actions: spaces.Discrete) -> None:
         """Give the model an empty `OptionReplayBuffer`."""

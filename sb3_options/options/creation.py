@@ -58,12 +58,7 @@ def learn_option(
     if not len(initiation.points):
         return None
     return SubgoalOption(
-        subgoal,
-        initiation,
-        policy,
-        policy_input=settings.policy_input,
-        max_duration=settings.max_duration,
-        name=name,
+        subgoal, initiation, policy, policy_input=settings.policy_input, max_duration=settings.max_duration, name=name
     )
 
 

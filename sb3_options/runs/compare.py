@@ -22,18 +22,14 @@ from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.success import learned_at
 from sb3_options.runs import yaml_file
 from sb3_options.runs.commands import CompareConfig
-from sb3_options.runs.config import CONFIG, HOW_IT_RAN
+from sb3_options.runs.config import CONFIG, HOW_IT_RAN, OWN
 from sb3_options.runs.intervals import Interval, band, iqm_interval, probability_of_improvement
 
 Measure: TypeAlias = Literal["success", "return", "length"]
 
 TAGS: dict[str, dict[Measure, str]] = {
     "eval": {"success": "eval/success_rate", "return": "eval/mean_reward", "length": "eval/mean_ep_length"},
-    "rollout": {
-        "success": "rollout/success_rate",
-        "return": "rollout/ep_rew_mean",
-        "length": "rollout/ep_len_mean",
-    },
+    "rollout": {"success": "rollout/success_rate", "return": "rollout/ep_rew_mean", "length": "rollout/ep_len_mean"},
 }
 """Where SB3 logs a measure: in evaluations, and of the last 100 training episodes."""
 
@@ -172,12 +168,19 @@ def grouped(runs: Sequence[Run]) -> dict[str, list[Run]]:
     flat = [_flat({k: v for k, v in run.settings.items() if k not in NO_SETTING}) for run in runs]
     texts = [{name: json.dumps(value, default=str).replace('"', "") for name, value in each.items()} for each in flat]
     names = sorted({name for each in texts for name in each})
-    differing = [name for name in names if len({each.get(name) for each in texts}) > 1]
+    differing = [name for name in names if _sets_apart(name, texts)]
     groups: dict[str, list[Run]] = {}
     for run, each in zip(runs, texts, strict=True):
         name = ", ".join(f"{name} {each.get(name)}" for name in differing)
         groups.setdefault(name if run.settings and name else _unnumbered(run.folder), []).append(run)
     return groups
+
+
+def _sets_apart(name: str, texts: Sequence[Mapping[str, str]]) -> bool:
+    """Whether runs differ in a setting; in those of an algorithm, whether runs of one algorithm do."""
+    own = name != "algo" and name.partition(".")[0] in OWN
+    algos = [each.get("algo") if own else None for each in texts]
+    return len({(algo, each.get(name)) for algo, each in zip(algos, texts, strict=True)}) > len(set(algos))
 
 
 def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -210,12 +213,13 @@ def compared(groups: Mapping[str, Sequence[Run]], goal: Goal | None, source: str
         if goal is not None:
             reached = [goal.reached(cut(run.curves[source][goal.measure], limit)) for run in runs]
             steps = np.array([limit if at is None else at for at in reached])
-            sooner = "" if first is None else probability_of_improvement(steps, first)
             numbers[name] |= {
                 f"primitive steps to {goal}": iqm_interval(steps),
                 "runs that never get there": reached.count(None),
-                f"Pr(sooner than {next(iter(groups))})": sooner,
             }
+            if len(groups) > 1:
+                sooner = "" if first is None else probability_of_improvement(steps, first)
+                numbers[name][f"Pr(sooner than {next(iter(groups))})"] = sooner
             first = steps if first is None else first
         for measure in measures_of(everything, source):
             ends = [at_the_end(cut(run.curves[source][measure], limit), limit) for run in runs]

@@ -167,7 +167,7 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
         arguments = _with_layers(_nested(defaults)["algo_kwargs"], own)
         return TrainConfig(**_nested(defaults | given) | {"algo": algo, "algo_kwargs": arguments})
     except ValueError as error:
-        raise ValueError(f"{source}: {error}") from None
+        raise ValueError(f"{source}: {str(error).removeprefix('TrainConfig: ')}") from None
 
 
 def _flat(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -58,10 +58,11 @@ def new_run_folder(config: TrainConfig) -> Path:
 
 
 def discard(folder: Path) -> None:
-    """Remove a run folder that nothing was trained in, and that of the algorithm where it is the only one."""
+    """Remove a run folder that nothing was trained in, and the folders above that it leaves empty."""
     shutil.rmtree(folder)
     with suppress(OSError):  # there are other runs
         folder.parent.rmdir()
+        folder.parents[1].rmdir()
 
 
 @contextmanager

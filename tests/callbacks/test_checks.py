@@ -1,5 +1,5 @@
 import copy
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -78,6 +78,11 @@ def test_says_what_to_change(model: Any, error: type[Exception], text: str) -> N
     built: BaseAlgorithm = model()
     with pytest.raises(error, match=text):
         built.learn(20, callback=SubgoalDiscoveryCallback())
+
+
+def test_the_class_is_no_callback() -> None:
+    with pytest.raises(TypeError, match="is a class: pass an object, callback=SubgoalDiscoveryCallback"):
+        dqn(optioned_rooms()).learn(20, callback=cast("Any", SubgoalDiscoveryCallback))
 
 
 @pytest.mark.parametrize("callback", [SubgoalDiscoveryCallback, PrimitiveStepsCallback])

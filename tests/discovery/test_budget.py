@@ -123,7 +123,9 @@ class TestSchedule:
     def test_who_finds_nothing_is_told(self) -> None:
         discovery = costly()
         searches_of(discovery)
-        left_out = f" {discovery.diary.skipped} searches were left out to save time: raise max_share=0.05."
+        left_out = (
+            f" {discovery.diary.skipped} searches were left out to save time: raise max_share (--discovery.max-share)."
+        )
         assert left_out in discovery.why_nothing()
         assert "left out" not in costly().why_nothing()
 

@@ -25,7 +25,7 @@ def add(discovery: Discovery, n: int = 1, **kwargs: Any) -> None:
     ("kwargs", "outcome", "text"),
     [
         ({}, {"terminated": True, "rewards": [-1.0, -100.0]}, "(20 terminated, 0 truncated, returns -101 to -101)."),
-        ({}, {"terminated": True, "rewards": [0.0, 0.0]}, "or add an exploration bonus"),
+        ({}, {"terminated": True, "rewards": [0.0, 0.0]}, "or let PPO or A2C explore by"),
         ({"settings": DiscoverySettings(segmentation="peaks")}, {"is_success": False}, "no success in 20 segments"),
     ],
     ids=["counts", "no reward", "segments"],
@@ -59,8 +59,11 @@ def test_there_is_none_where_one_succeeds(caplog: pytest.LogCaptureFixture) -> N
 @pytest.mark.parametrize(
     ("settings", "remedy"),
     [
-        ({"start_radius": 99.0}, "Lower start_radius and goal_radius."),
-        ({"start_radius": 0.0, "goal_radius": 0.0, "min_passing": 0.99}, "Lower min_passing, or pass a feature_map"),
+        ({"start_radius": 99.0}, "Lower start_radius, goal_radius (--discovery.start-radius, .goal-radius)."),
+        (
+            {"start_radius": 0.0, "goal_radius": 0.0, "min_passing": 0.99},
+            "Lower min_passing (--discovery.min-passing), or",
+        ),
     ],
 )
 def test_the_filter_that_leaves_nothing_is_named(settings: Any, remedy: str) -> None:
@@ -68,7 +71,7 @@ def test_the_filter_that_leaves_nothing_is_named(settings: Any, remedy: str) -> 
     add(discovery, 3, is_success=True)
     assert discovery.search() is None
     why = discovery.why_nothing()
-    assert "3 of 3 episodes succeeded, but fewer than 2 have a state that" in why
+    assert "3 of 3 episodes succeeded, but fewer than 2 of them pass a state that" in why
     assert remedy in why
 
 

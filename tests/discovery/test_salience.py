@@ -155,7 +155,7 @@ def test_why_nothing_counts_what_stands_for_successes() -> None:
     assert why_nothing(0, 0).startswith(f"{none}no success in 16 episodes")
     assert why_nothing(0, 3) == f"{none}3 of 19 episodes succeeded; {needs}"
     left = why_nothing(8, 0, start_radius=99.0)
-    assert left.startswith(f"{none}0 of 24 episodes succeeded, but fewer than 4 have a state that")
+    assert left.startswith(f"{none}0 of 24 episodes succeeded, but fewer than 4 of them pass a state that")
     assert left.endswith(f" {stand} 8.")
 
 

@@ -26,10 +26,8 @@ class TestErrors(Stopping):
     @pytest.mark.parametrize(
         ("args", "expected"),
         [
-            (
-                ["--env", "Blackjack-v1"],
-                "cannot learn from these observations",
-            ),
+            (["--env", "Blackjack-v1"], "cannot learn from these observations"),
+            (["--device", "abacus"], "device type"),
             (["--env-kwargs", "mapp:1"], "unexpected keyword argument 'mapp'"),
             (["--env", "no_such_module:Env-v0"], "no_such_module"),
         ],

@@ -15,6 +15,10 @@ from tests.learning.expanded import GAMMA, N_PRIMITIVE, small_model
 from tests.support.sb3_helpers import Corridor, env_of, n_actions_of, optioned_rooms, places, small_rooms
 
 
+class OwnReplay(ReplayBuffer):
+    """A user's own."""
+
+
 def bare_workers() -> Any:
     return small_rooms()
 
@@ -34,6 +38,7 @@ def test_bare_worker_processes_are_refused() -> None:
 def test_errors_leave_the_model_as_it_was() -> None:
     model = small_model()
     weights = {key: value.clone() for key, value in model.policy.state_dict().items()}
+    mine = model.replay_buffer
     smaller = {"map": "SSS.\n...G", "max_steps": 9}
     with pytest.raises(ValueError, match="max_options must be a whole number"):
         expand_action_space(model, -1)
@@ -53,6 +58,10 @@ def test_errors_leave_the_model_as_it_was() -> None:
         expand_action_space(model, 4, env=optioned_rooms(4), feature_map=places)
     with pytest.raises(TypeError, match="feature_map must be"):
         expand_action_space(model, 4, feature_map=cast("Any", 3))
+    model.replay_buffer = OwnReplay(10, model.observation_space, model.action_space)
+    with pytest.raises(ValueError, match=r"DQN was built with OwnReplay, .*: pass DQN\(\.\.\., replay_buffer_class="):
+        expand_action_space(model)
+    model.replay_buffer = mine
     assert n_actions_of(model) == N_PRIMITIVE
     assert not any(env_of(model).env_is_wrapped(OptionsWrapper))
     assert type(model.replay_buffer) is ReplayBuffer

@@ -92,6 +92,12 @@ def test_runs_that_differ_in_their_seed_alone_are_a_group(tmp_path: Path) -> Non
         "bonus rnd, discovery.decay 0.5": ["a_4"],
     }
     assert list(grouped(runs[:2])) == ["ppo/a"]
+    other = read_run(logged(tmp_path / "dqn", [1.0], {"algo": "dqn", "n_envs": 1, "algo_kwargs": {"batch_size": 64}}))
+    assert list(grouped([run("b_1"), other])) == ["algo ppo", "algo dqn"], (
+        "what an algorithm has of its own goes with it"
+    )
+    mine = run("b_2", algo_kwargs={"batch_size": 8})
+    assert list(grouped([run("b_1"), mine, other]))[1] == "algo ppo, algo_kwargs.batch_size 8"
 
 
 def test_runs_of_others_are_grouped_by_their_folders(tmp_path: Path) -> None:

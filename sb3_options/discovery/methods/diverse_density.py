@@ -37,11 +37,11 @@ PEAK_TOLERANCE = 1e-3
 """Peaks whose log density is within this of the best one tie with it, in nats: what ascents leave undone."""
 
 REMEDIES = {
-    "start_radius and goal_radius": "is far enough from start and goal. Lower start_radius and goal_radius.",
+    "radii": "is far from start and goal. Lower start_radius, goal_radius (--discovery.start-radius, .goal-radius).",
     "contrast": "they visit much more often than failures do. Name other groups of features.",
-    "min_passing": "enough of the others pass too. Lower min_passing, or pass a feature_map in which places recur.",
+    "min_passing": "enough of the others pass too. Lower min_passing (--discovery.min-passing), or make φ coarser.",
     "cuts": "cuts off enough of the other states. The task may have no bottleneck.",
-    "spacing": "is far enough from the subgoals of options. Lower spacing.",
+    "spacing": "is far enough from the subgoals of options. Lower spacing (--discovery.spacing).",
 }
 """What each filter asks of a state, and what to do where it leaves too few."""
 
@@ -235,7 +235,7 @@ class PersistentPeaks(Method):
         if (diary.successes if n_positive is None else n_positive) < least or not self.maker.emptied_by:
             return f"{diary.successes} of {diary.n} {diary.unit}s succeeded; a search needs {least}. Train for longer."
         return (
-            f"{diary.successes} of {diary.n} {diary.unit}s succeeded, but fewer than {least} have a state that "
+            f"{diary.successes} of {diary.n} {diary.unit}s succeeded, but fewer than {least} of them pass a state that "
             f"{REMEDIES[self.maker.emptied_by]}"
         )
 
