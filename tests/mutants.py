@@ -207,7 +207,7 @@ def main() -> None:
         return
     for name in in_turn:
         if found.get(name) in ("survived", "no tests"):
-            path = Path(*name.split(".")[:3]).with_suffix(".py")
+            path = Path(*name.split(".")[:-1]).with_suffix(".py")
             print(f"{found[name]}: {name}", *get_diff_for_mutant(name, path=path).splitlines()[2:], sep="\n")
 
 

@@ -70,7 +70,7 @@ class Contrast:
             weights = np.where(success[of_whom], 1.0, 1.0 - late)
         first = np.array([v.first for v in visits])
         began = np.flatnonzero(first >= 0)
-        present = np.bincount(states, minlength=len(self._numbers)) > 0
+        present = np.bincount(states) > 0  # up to the highest number that is present
         near = self._neighbours(present)
         reached = _reached(states, of_whom, weights, success, near)
         begun = _reached(first[began], began, np.ones(len(began)), success, near)

@@ -38,7 +38,7 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
     if np.linalg.norm(features[visits[-1]] - features[visits[0]]) <= radius:
         away = np.linalg.norm(features - features[visits[0]], axis=1) > radius
         visits = visits[: max(np.flatnonzero(away[visits]), default=0) + 1]
-    last_visit = np.full(len(features), -1)
+    last_visit = np.zeros(len(features), dtype=np.int64)  # of what was left out no visit counts
     last_visit[visits] = np.arange(len(visits))
     row_at, last_near = visits.tolist(), _last_near(features, last_visit, radius)
     way, time = [], 0

@@ -64,7 +64,6 @@ class OptionDQN(MaskedPrediction, DQN):
         # SB3 hands its own `n_steps` to its own buffers only.
         kwargs["replay_buffer_kwargs"] = {"n_steps": n_steps, **(kwargs.get("replay_buffer_kwargs") or {})}
         super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading
-        self._steps_seen = 0
         self._untrained_steps = 0
         self._untrained_decisions = 0
         self._options_since = math.inf  # primitive steps in `_n_calls` at the first available option
@@ -81,7 +80,7 @@ class OptionDQN(MaskedPrediction, DQN):
 
     def _track_availability(self, env: VecEnv) -> None:
         check_wrapped(env, "The environment of OptionDQN")
-        self._n_slots = n_actions_of(self) - env.get_attr("traits", [0])[0].n_primitive
+        self._n_slots = n_actions_of(self) - env.get_attr("traits")[0].n_primitive
         self._option_buffer().track_availability(self._n_slots)
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:

@@ -167,7 +167,7 @@ class MacroQ(MaskedPrediction):
     def _count_slots(self) -> None:
         self._n_primitive = self._n_actions
         if self.env is not None and all(self.env.env_is_wrapped(OptionsWrapper)):
-            self._n_primitive = self.env.get_attr("traits", [0])[0].n_primitive
+            self._n_primitive = self.env.get_attr("traits")[0].n_primitive
             self.env.env_method("set_slots", report_availability=True)
         self._n_slots = self._n_actions - self._n_primitive
         self._primitives = list(range(self._n_primitive))

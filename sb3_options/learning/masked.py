@@ -79,7 +79,7 @@ class MaskedPrediction(BaseAlgorithm):
         values, vectorized = self._action_values(observation)
         if action_masks is None:
             action_masks = self._available(observation if vectorized else batch_of_one(observation))
-        masks = np.asarray(action_masks, dtype=bool).reshape(values.shape)
+        masks = np.asarray(action_masks).reshape(values.shape)
         greedy = np.where(masks, values, -np.inf).argmax(axis=1)
         actions = greedy if deterministic else self._explored(values, masks, greedy)
         return (actions if vectorized else actions[0]), state

@@ -69,7 +69,7 @@ def add_bonuses(buffer: RolloutBuffer, bonuses: FloatArray) -> None:
     with values of 0, is what they add to the advantages and returns that are there.
     """
     nothing = np.zeros_like(bonuses)
-    discounts = buffer.discounts if isinstance(buffer, SMDPAdvantages) else np.full_like(bonuses, buffer.gamma)
+    discounts = buffer.discounts if isinstance(buffer, SMDPAdvantages) else np.asarray(buffer.gamma)
     # After the last step nothing of the bonus follows, whether the episode ended there or not.
     goes_on = 1.0 - np.concatenate([buffer.episode_starts[1:], nothing[:1]])
     advantages = smdp_advantages(bonuses, nothing, nothing, discounts, goes_on, buffer.gae_lambda)

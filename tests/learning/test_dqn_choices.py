@@ -4,9 +4,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, cast
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from gymnasium import spaces
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize, VecTransposeImage
@@ -35,6 +37,7 @@ from tests.support.sb3_helpers import (
     env_of,
     optioned_rooms,
     places,
+    small_rooms,
 )
 
 
@@ -208,3 +211,62 @@ def test_updates_and_epsilon_keep_their_pace_by_primitive_steps(k: int) -> None:
     assert abs(len(pace.targets) - model.num_timesteps // 100) <= 1
     ends = next(at for at, rate in pace.rates if rate == pytest.approx(0.1))
     assert ends == pytest.approx(800 if k == 1 else 800 / FASTER_WITH_OPTIONS, abs=k + 1)
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_updates_are_as_many_as_primitive_steps_and_are_logged(k: int) -> None:
+    env = optioned_rooms(1)
+    env.bank.add(steady_option(max_duration=k))
+    model = OptionDQN(
+        "MlpPolicy", env, gamma=0.9, learning_starts=1, train_freq=4, gradient_steps=8, buffer_size=500, seed=0,
+        policy_kwargs={"net_arch": []}, exploration_final_eps=1.0,
+    )  # fmt: skip
+    assert model._option_buffer().n_steps == 3
+    trained: list[tuple[int, int]] = []
+    train = model.train
+
+    def spy(gradient_steps: int, batch_size: int = 100) -> None:
+        train(gradient_steps, batch_size)
+        trained.append((model.num_timesteps, model._n_updates))
+        assert model.policy.training
+
+    model.train = spy  # type: ignore[method-assign]  # a spy
+    model.learn(60, callback=PrimitiveStepsCallback(), log_interval=10**6)
+    assert len(trained) > 5
+    assert [updates for _, updates in trained] == [2 * steps for steps, _ in trained]
+    values = model.logger.name_to_value
+    assert values["train/n_updates"] == model._n_updates
+    assert 0.0 < values["train/loss"] < 10.0
+    assert values["rollout/exploration_rate"] == model.exploration_rate == 1.0
+    excluded = model.logger.name_to_excluded
+    assert [excluded[name] for name in ("train/n_updates", "train/loss")] == [("tensorboard",), ("",)]
+
+
+@pytest.mark.parametrize("force_reset", [None, True, False])
+def test_another_environment_is_reset_unless_told_otherwise_and_must_be_wrapped(force_reset: bool | None) -> None:
+    model = OptionDQN("MlpPolicy", optioned_rooms(1), gamma=GAMMA, **TINY)
+    assert (model._n_slots, model._option_buffer().next_available.shape[1]) == (1, 1)
+    model._last_obs = np.zeros((1, 45))
+    env = optioned_rooms(1)
+    model.set_env(env, **({} if force_reset is None else {"force_reset": force_reset}))
+    assert (model._last_obs is None) == (force_reset is not False)
+    assert (env_of(model).get_attr("bank"), model._n_slots) == ([env.bank], 1)
+    wide = gym.wrappers.TransformAction(small_rooms(), lambda action: action % 4, spaces.Discrete(5))
+    with pytest.raises(ValueError, match=r"^The environment of OptionDQN "):
+        model.set_env(wide)
+
+
+def test_a_stock_model_goes_on_and_its_epsilon_with_it(tmp_path: Path) -> None:
+    stock = DQN("MlpPolicy", optioned_rooms(1), gamma=0.9, exploration_fraction=1.0, **TINY | {"train_freq": 1})
+    stock.learn(50)
+    stock.save(tmp_path / "model")
+    model = OptionDQN.load(tmp_path / "model", env=optioned_rooms(1), replay_buffer_class=OptionReplayBuffer)
+    model.learn(50, reset_num_timesteps=False)
+    assert model.num_timesteps == 100
+    assert model.exploration_rate == pytest.approx(0.05)
+    env = cast("Any", env_of(model)).envs[0]
+    env.get_wrapper_attr("set_option")(0, steady_option())
+    model.learn(50, reset_num_timesteps=False)
+    assert model._options_since == model._n_calls - 50
+    model.learn(5, reset_num_timesteps=True)
+    assert model._options_since == model._n_calls - 5

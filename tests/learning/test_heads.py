@@ -129,11 +129,11 @@ class Dueling(QNetwork):
 
 
 class Trunk(QNetwork):
-    """Of a user's own, whose last layer has another name."""
+    """Of a user's own, whose last layer has another name, and whose outputs are random while it trains."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.q_net = torch.nn.Sequential(torch.nn.Linear(self.features_dim, 16))
+        self.q_net = torch.nn.Sequential(torch.nn.Linear(self.features_dim, 16), torch.nn.Dropout())
         self.last = torch.nn.Linear(16, N_ACTIONS)
 
     def forward(self, obs: Any) -> torch.Tensor:
@@ -209,8 +209,8 @@ def test_networks_of_a_users_own_that_cannot_be_closed_are_refused(
 
 
 @algorithms
-@pytest.mark.parametrize("scale", [0.0, 1e5, -1e8])
-def test_asking_a_network_leaves_it_as_it_is(algorithm: type[OffPolicyAlgorithm], scale: float) -> None:
+@pytest.mark.parametrize(("scale", "training"), [(0.0, True), (1e5, False), (-1e8, True)])
+def test_asking_a_network_leaves_it_as_it_is(algorithm: type[OffPolicyAlgorithm], scale: float, training: bool) -> None:
     """Of small values and of large ones, in which an addition of 1 is rounding."""
     model = model_of(algorithm)
     for layer, _ in heads.option_outputs(model.policy):
@@ -218,7 +218,9 @@ def test_asking_a_network_leaves_it_as_it_is(algorithm: type[OffPolicyAlgorithm]
     heads.close_head(model.policy, N_PRIMITIVE)  # the last slot is open
     before = {name: value.clone() for name, value in model.policy.state_dict().items()}
     model._last_obs = observations(1).numpy()
+    model.policy.set_training_mode(training)
     family_of(model).check(model.get_env())
+    assert model.policy.training == training
     assert all(torch.equal(before[name], value) for name, value in model.policy.state_dict().items())
 
 

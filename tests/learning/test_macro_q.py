@@ -11,12 +11,14 @@ import numpy.typing as npt
 import pytest
 from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from experiments.pioneer.tiles import TileCoding
 from sb3_options import MacroQ, OptionsWrapper
 from sb3_options.envs import GridWorld
-from sb3_options.learning.macro_q import LONGEST_ROLLOUT, OneHot
+from sb3_options.experience.option_run import OptionRun
+from sb3_options.learning.macro_q import LONGEST_ROLLOUT, LinearPolicy, OneHot
 from tests.support.helpers import CountingEnv, steady_option, table_option
 from tests.support.sb3_helpers import (
     optioned_rooms,
@@ -89,9 +91,25 @@ def scripted(env: gym.Env[Any, Any], actions: Sequence[int], monkeypatch: pytest
 def test_one_step_of_q_learning(monkeypatch: pytest.MonkeyPatch) -> None:
     _, tables = scripted(Script(terminate_at=2), [1, 0], monkeypatch)
     # Q(0, 1) = 0.1 → halfway to 1 + 0.9 · max(1.0, 1.1) = 1.99.
-    assert tables[0][0].tolist() == pytest.approx([0.0, (0.1 + 1.99) / 2])
+    assert tables[0][0].tolist() == pytest.approx([0.0, (0.1 + 1.99) / 2], rel=1e-14)
     # Nothing follows the end: Q(1, 0) = 1.0 → halfway to 2.
     assert tables[1][1].tolist() == pytest.approx([1.5, 1.1])
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_an_option_that_does_not_say_what_may_start_teaches_primitives_alone(ended: bool) -> None:
+    """Of an environment that reports options of its own."""
+    model = MacroQ(Script(), learning_rate=ALPHA, gamma=GAMMA, seed=0)
+    model.learn(0)
+    table = table_of(model)
+    table[:] = np.arange(6)[:, None] + np.arange(2) / 10
+    run = OptionRun(0, 2, GAMMA**2, GAMMA, "subgoal", np.array([0, 1]), np.array([1, 1]), np.array([1.0, 2.0]))
+    model._learn_from([0], 0, 1 + GAMMA * 2, [2], ended, run)
+    follows = 0.0 if ended else 2.1
+    assert table[0].tolist() == pytest.approx(
+        [(1 + GAMMA * 2 + GAMMA**2 * follows) / 2, (0.1 + 1 + GAMMA * 1.1) / 2], rel=1e-14
+    )
+    assert table[1].tolist() == pytest.approx([1.0, (1.1 + 2 + GAMMA * follows) / 2], rel=1e-14)
 
 
 def test_a_time_limit_is_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -249,6 +267,82 @@ def test_predict_respects_initiation_sets_and_epsilon() -> None:
     assert state is None
     drawn = model.predict(np.zeros(200, dtype=np.int64))[0]
     assert set(drawn.tolist()) == {0, 1}
+
+
+def test_arguments_are_kept_and_have_defaults(tmp_path: Path) -> None:
+    def arguments_of(model: MacroQ) -> list[Any]:
+        names = ("learning_rate", "gamma", "epsilon", "tensorboard_log", "verbose", "seed", "features")
+        assert (str(model.device), model.policy_class) == ("cpu", LinearPolicy)
+        return [getattr(model, name) for name in names]
+
+    *values, features = arguments_of(MacroQ(Script(), device="meta"))
+    assert values == [0.05, 0.9, 0.1, None, 0, None]
+    assert (features.n_features, features.n_active, features.coded) == (6, 1, False)
+    given: list[Any] = [1e-3, 1.0, 0.0, str(tmp_path), 2, 7, OneHot(9, coded=False)]
+    learning_rate, gamma, epsilon, log, verbose, seed, of_its_own = given
+    model = MacroQ(
+        DummyVecEnv([Script] * 3), features=of_its_own, learning_rate=learning_rate, gamma=gamma, epsilon=epsilon,
+        tensorboard_log=log, verbose=verbose, seed=seed,
+    )  # fmt: skip
+    assert arguments_of(model) == given
+    assert (model.n_envs, table_of(model).shape, model.policy.features) == (3, (9, 2), of_its_own)
+    assert MacroQ(None, _init_setup_model=False).env is None
+    MacroQ(Script(), gamma=0.0, epsilon=1.0)
+
+
+def test_one_seed_is_one_training() -> None:
+    models = [MacroQ(small_rooms(), seed=seed, epsilon=0.5).learn(1000) for seed in (3, 3, 4)]
+    one, same, other = (table_of(model) for model in models)
+    assert (one == same).all()
+    assert (one != other).any()
+
+
+@pytest.mark.parametrize("force_reset", [None, True, False])
+def test_another_environment_is_reset_unless_told_otherwise_and_its_slots_count(force_reset: bool | None) -> None:
+    model = MacroQ(optioned([True] * 6, duration=2), gamma=GAMMA, seed=0).learn(2)
+    bare: Any = Script()
+    bare.action_space = spaces.Discrete(4)
+    for env, slots in ((bare, 0), (optioned([True] * 6, duration=2), 2)):
+        model._last_obs = np.array([3])
+        model.set_env(env, **({} if force_reset is None else {"force_reset": force_reset}))
+        assert (model._last_obs is None) == (force_reset is not False)
+        assert (model._n_slots, model._n_primitive, model._primitives) == (slots, 4 - slots, list(range(4 - slots)))
+    assert env.slot_state.report_availability
+
+
+class Entries(KVWriter):
+    """Keeps what is logged."""
+
+    def __init__(self) -> None:
+        self.written: list[tuple[int, dict[str, Any], dict[str, Any]]] = []
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, Any], step: int = 0) -> None:
+        self.written.append((step, dict(key_values), dict(key_excluded)))
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_the_log_has_the_names_of_sb3(tells: bool) -> None:
+    class Told(Script):
+        def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
+            *step, _ = super().step(action)
+            return (*step, {"is_success": self.state == 2} if tells else {})  # type: ignore[return-value]  # a star
+
+    entries = Entries()
+    model = MacroQ(Told(terminate_at=2), seed=0)
+    model.set_logger(Logger(None, [entries]))
+    model.learn(8, log_interval=2)
+    expected = {"rollout/ep_rew_mean": 3.0, "rollout/ep_len_mean": 2.0} | (
+        {"rollout/success_rate": 1.0} if tells else {}
+    )
+    expected |= {"time/episodes": 2, "time/total_timesteps": 4}
+    excluded = {name: ("tensorboard",) if name.startswith("time/") else ("",) for name in expected}
+    later = expected | {"time/episodes": 4, "time/total_timesteps": 8}
+    assert entries.written == [(4, expected, excluded), (8, later, excluded)]
+    model.learn(8, log_interval=None)
+    assert len(entries.written) == 2
 
 
 @pytest.mark.parametrize("name", ["gamma", "epsilon", "learning_rate"])

@@ -9,7 +9,22 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionDQN, OptionsWrapper
 from sb3_options.learning.masked import unnormalized
-from tests.support.helpers import DictEnv
+from tests.support.helpers import CountingEnv, DictEnv
+
+
+@pytest.mark.parametrize("masks", [[0, 1], [[False, True]], np.array([0.0, 1.0])])
+def test_masks_are_truth_values_or_numbers(masks: Any) -> None:
+    model = OptionDQN("MlpPolicy", OptionsWrapper(CountingEnv(), 0), buffer_size=10, seed=0)
+    model.exploration_rate = 0.5
+    for deterministic in (True, False):
+        drawn = [model.predict(np.zeros(1), deterministic=deterministic, action_masks=masks)[0] for _ in range(20)]
+        assert {int(action) for action in drawn} == {1}
+    assert model._available(np.zeros((3, 1))).tolist() == [[True, True]] * 3
+    assert model._available(np.zeros((3, 1))).dtype == bool
+    everything = [int(model.predict(np.zeros(1))[0]) for _ in range(50)]
+    assert set(everything) == {0, 1}
+    state = (np.zeros(1),)
+    assert model.predict(np.zeros(1), state)[1] is state
 
 
 def clipping() -> tuple[VecNormalize, dict[str, npt.NDArray[Any]]]:

@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from sb3_options import OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback
+from sb3_options.learning.n_step import END, Successors
 from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
 from tests.learning.test_replay_buffer import GAMMA, corridors, fill, optioned, place_in, place_of_tensors
 
@@ -230,6 +231,16 @@ def test_a_buffer_of_one_environment_goes_on_in_a_model_of_three(n_steps: int, t
     stored = cast("OptionReplayBuffer", other.replay_buffer).size()
     other.learn(60, callback=PrimitiveStepsCallback())
     assert cast("OptionReplayBuffer", other.replay_buffer).size() >= stored + 60
+
+
+def test_a_run_longer_than_the_buffer_is_followed_by_the_next_decision_alone() -> None:
+    rows = Successors(3, 2)
+    rows.add(0, 0, np.array([1, 2, 0, 1]), follows=False, done=False)  # its first step is overwritten, as is itself
+    assert (rows.following.tolist(), rows.newest(0).tolist()) == ([1, END, 0], [1])
+    rows.add(0, 2, np.array([], dtype=np.int64), follows=True, done=False)
+    assert (rows.following.tolist(), rows.newest(0).tolist()) == ([1, 2, END], [2])
+    rows.add(1, 0, np.array([1, 2]), follows=False, done=True)  # of another environment, over the other's newest
+    assert (rows.following.tolist(), rows.newest(0).tolist(), rows.newest(1).tolist()) == ([END, 2, END], [], [])
 
 
 class TestModels:

@@ -29,7 +29,7 @@ class CandidateMethod(Method):
 
     def __init__(self) -> None:
         self._row: dict[bytes, int] = {}  # of each place, by its bin
-        self._points: FloatArray = np.zeros((0, 0))
+        self._points: FloatArray = np.zeros(0)  # (n, d) once there is a place
         self._counts: FloatArray = np.zeros((0, 3))  # seen, candidate, and whether it may be a subgoal
 
     @abstractmethod
