@@ -20,42 +20,40 @@ class DiscoverySettings:
     """How subgoals are found (McGovern & Barto 2001, §4–5). Distances are in scaled units of concept space.
 
     Attributes:
-        method: How: by ``diverse-density``, or by another of `methods.METHODS`, for which of the settings below only
-            the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity`, `max_share` and the
-            segmentation count.
-        segmentation: What a trajectory is: one of the ``episodes``, or, for continuing tasks, a segment between two
-            ``peaks`` of reward (`recording.SegmentRecorder`).
-        max_segment: Primitive steps without a peak that make an unsuccessful segment; more than random exploration
-            takes from peak to peak.
-        max_share: Largest share of training that searches may take, counted in work and not by the clock (`budget`);
-            None for any. A search that took more makes the next ones rarer. Training is taken to last 40,000 steps at
-            least, for searches are wanted early.
-        capacity: How many trajectories are kept: the last n.
-        min_positive: Positive bags needed before the first search: over a few bags, accidents tie with bottlenecks.
-        loops: ``erase`` makes the bag of a successful trajectory of the way it took, without its loops
-            (`ways.loop_erased`); ``keep`` makes it of all it visited, as the paper does.
-        min_passing: Of the successful ways that come near a state, the share that must lead through it, or it is no
-            instance: nearly all that come near a doorway pass it (`ways.PassingShare`). Such a state must also cut off
-            its surroundings (`local_cuts.LocalCuts`). 0 takes every state.
-        salient_share: Where φ has groups of features, and fewer than ``min_positive`` trajectories have succeeded: one
-            that comes upon a thing which at most this share of all come upon counts as successful, up to that moment
-            (`salience.Salience`). 0: none does.
-        negative_strength: η in [0, 1]: how strongly an instance of a negative bag speaks against a concept near it.
-            Below 1 because an unsuccessful trajectory may well pass a bottleneck (the paper's §8); 0 goes without them.
-        leak: λ in [0, 1): the probability that a trajectory succeeds without the bottleneck, because there is another
-            way. Above 0, a trajectory of the other way costs a concept no more than log λ.
+        method: Name of the method of discovery, one of `methods.METHODS`. Methods other than ``diverse-density`` use
+            only the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity`, `max_share` and `segmentation`.
+        segmentation: A trajectory is an episode (``episodes``) or, in continuing tasks, a segment between two ``peaks``
+            of reward (`recording.SegmentRecorder`).
+        max_segment: A segment without a peak fails after so many primitive steps. It should exceed the steps that
+            random exploration takes from peak to peak.
+        max_share: Maximum share of training that searches may take, None for any. It is counted in work, not by the
+            clock (`budget`). After an expensive search the next ones come later. Training counts as at least 40,000
+            steps long, so that first searches come early.
+        capacity: Number of trajectories kept: the last n.
+        min_positive: Number of positive bags before the first search. With few bags, accidents tie with bottlenecks.
+        loops: ``erase`` removes loops from a successful trajectory before its states become a bag
+            (`ways.loop_erased`). ``keep`` makes a bag of all visited states, as the paper does.
+        min_passing: Of the successful ways that come near a state, the share that must pass through it
+            (`ways.PassingShare`). Nearly all ways that come near a doorway pass it. Such a state must also cut off its
+            surroundings (`local_cuts.LocalCuts`). 0 takes every state.
+        salient_share: Before ``min_positive`` successes, a trajectory that meets a rare thing counts as successful up
+            to that moment (`salience.Salience`). Rare means: at most this share of trajectories meet it. Only for a φ
+            with groups of features. 0 disables it.
+        negative_strength: η in [0, 1]: weight of an instance of a negative bag against a concept near it. It is below 1
+            because an unsuccessful trajectory may pass a bottleneck (the paper's §8). 0 ignores negative bags.
+        leak: λ in [0, 1): probability that a trajectory succeeds without the bottleneck, by another way. Above 0, such
+            a trajectory costs a concept at most log λ.
         search: ``gradient`` ascent from many starts, or ``exhaustive`` over the instances of positive bags.
-        search_growth: A search waits for so many new trajectories for each success that is kept: fewer hardly change
-            what is common to all. With 0.05 every trajectory is searched for until there are twenty successes; 0
-            searches after every one, as the paper does.
-        scale: Factor for every feature, 1/width of the Gaussians; None takes `default_scale`.
-        start_radius: The default static filter keeps subgoals farther than this from where a trajectory began. Where
-            features are one-hot codes, which have no distances, it counts steps along the trajectory.
-        goal_radius: The default static filter keeps subgoals farther than this from where a trajectory ended.
+        search_growth: Number of new trajectories before the next search, for each success that is kept. With 0.05 a
+            search follows every trajectory until there are twenty successes. With 0 it always does, as in the paper.
+        scale: Factor for every feature, 1/width of the Gaussians. None takes `default_scale`.
+        start_radius: The default static filter keeps subgoals farther than this from the start of a trajectory. One-hot
+            codes have no distances, so there it counts steps along the trajectory.
+        goal_radius: The default static filter keeps subgoals farther than this from the end of a trajectory.
         decay: λ of the running averages.
         threshold: Share of the limit λ/(1−λ) that makes a concept persistent.
         subgoal_radius: The subgoal is everything within this distance of the persistent peak.
-        spacing: A new subgoal must be farther than this from those that have an option.
+        spacing: Minimum distance of a new subgoal from those that have an option.
     """
 
     method: MethodName = "diverse-density"

@@ -21,9 +21,9 @@ class EmbeddingSettings:
     """How a feature map is learned (`learner.FeatureLearner`).
 
     Attributes:
-        updates: Gradient steps the first time; half as many each time it is learned on.
+        updates: Gradient steps of the first training. Each later training has half as many.
         batch_size: Pairs of observations in a gradient step.
-        learning_rate: Of Adam, when it begins to learn; it falls to 0 in a straight line.
+        learning_rate: Adam's initial learning rate. It falls linearly to 0.
         horizon: Mean number of primitive steps between the observations of a pair; they are geometrically
             distributed, with γ = 1 − 1/horizon.
     """

@@ -15,20 +15,20 @@ class OptionLearningSettings:
     """How an option is made for a subgoal (McGovern & Barto 2001, §5).
 
     Attributes:
-        policy_input: What the option's policy acts on. ``features`` are enough where the way to the subgoal shows in
-            concept space; then a few trajectories suffice, because there is less to tell apart.
+        policy_input: Input of the option's policy: ``observation``, or ``features`` if φ shows the way to the subgoal.
+            With features a few trajectories suffice, because fewer states differ.
         initiation_steps: n: the states of the last n primitive steps before the first visit of the subgoal enter I.
         initiation_radius: An observation lies in I if its features are within this distance, in scaled units, of a
             state that entered I.
-        max_duration: Longest run of the option, primitive steps; on a group of features at most n, too.
-        leave_reward: Reward for the step that leaves I, or ends the episode elsewhere than at the subgoal, below 0. The
-            default is worse than any run of ``max_duration`` steps (`tasks` has the rewards of other steps).
+        max_duration: Longest run of the option, in primitive steps. On a group of features it is at most n.
+        leave_reward: Reward, below 0, for a step that leaves I or ends the episode away from the subgoal. The default
+            is worse than any run of ``max_duration`` steps (`tasks` has the rewards of other steps).
         gamma: Discount of the option's own task.
-        value_function: ``table`` for observations that repeat, ``network`` for those that do not, or ``auto``:
-            a table if the transitions of I have at most half as many distinct observations as there are transitions.
-        sweeps: Most sweeps through the saved transitions for a table; it stops when nothing changes any more.
-        grow: Whether an option is learned anew, initiation set and policy, from all saved trajectories each time
-            twice as many of them have reached its subgoal. An option from a file gains what is learned here.
+        value_function: ``table`` for observations that repeat, ``network`` for others. ``auto`` takes a table if
+            the transitions of I have at most half as many distinct observations as transitions.
+        sweeps: Maximum number of sweeps through the saved transitions for a table. It stops when nothing changes.
+        grow: Whether to learn an option anew, initiation set and policy, each time twice as many saved trajectories
+            have reached its subgoal. An option from a file adds the experience of this training.
     """
 
     policy_input: PolicyInput = "observation"
@@ -47,8 +47,9 @@ class UsefulnessSettings:
     """How options are judged by their use.
 
     Attributes:
-        min_reached: Share of an option's runs that must reach its subgoal from a state of I, which leaves I otherwise,
-            and that must end before `max_duration` and without failure, in [0, 1]; 0 judges none.
+        min_reached: Minimum fraction of an option's runs, in [0, 1]. A state of I leaves I if fewer runs from it reach
+            the subgoal. An option is closed if fewer of its runs end before `max_duration` and without failure. 0
+            disables both.
     """
 
     min_reached: Annotated[float, Field(ge=0, le=1)] = 0.5

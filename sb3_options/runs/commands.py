@@ -25,7 +25,7 @@ class DemoConfig:
         seeds: Number of repetitions.
         seed: Random seed of the first.
         video: Film both agents of the first seed side by side.
-        progress: Show a progress bar.
+        progress: Whether to show a progress bar.
     """
 
     task: Literal["rooms", "key", "minigrid"] = "rooms"
@@ -41,9 +41,9 @@ class Trusting:
     """Settings that import a module: the file of a run is not trusted with them.
 
     Attributes:
-        env: Environment, module:Id, where the run had such a one; evaluate takes any.
-        env_wrapper: Wrapper for it, module:Class, where the run had one.
-        feature_map: Feature map φ, module:function, where the run had one.
+        env: Environment, module:Id, if the run had such an id; evaluate takes any.
+        env_wrapper: Wrapper for it, module:Class, if the run had one.
+        feature_map: Feature map φ, module:function, if the run had one.
     """
 
     env: str | None = field(default=None, kw_only=True)
@@ -60,9 +60,9 @@ class EvaluateConfig(Trusting):
     """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
 
     Attributes:
-        run: The run folder that training named.
-        episodes: How many to play.
-        seed: Of the environment.
+        run: Run folder.
+        episodes: Number of episodes.
+        seed: Random seed of the environment.
         video: Write the first ten episodes to this file, MP4 or GIF.
         best: Play the best model of --eval-freq, not the last.
     """
@@ -76,12 +76,12 @@ class EvaluateConfig(Trusting):
 
 @settings
 class ResumeConfig(Trusting):
-    """Go on with a run that was killed or interrupted, from its last checkpoint, as if it had never ended.
+    """Continue a run that was killed or interrupted, from its last checkpoint, as if it had never stopped.
 
     Attributes:
-        run: The run folder that training named.
-        n_timesteps: Primitive steps in all; more than before lengthens a run, also a finished one.
-        progress: Show a progress bar.
+        run: Run folder.
+        n_timesteps: Primitive steps in total. A larger number than before lengthens a run, even a finished one.
+        progress: Whether to show a progress bar.
     """
 
     run: Path
@@ -94,11 +94,10 @@ class CompareConfig:
     """Compare runs, or groups of runs, by their TensorBoard logs: a table and a picture.
 
     Attributes:
-        runs: Run folders, or folders that hold some. Those that differ in their seed alone make a group; NAME=PATTERN
-            makes a group by hand.
-        out: The picture.
-        reach: When a run has learned: "success", "return" or "length" and a value, at the first of two entries in a
-            row that have it.
+        runs: Run folders, or folders that hold run folders. Runs that differ only in their seed make a group.
+            NAME=PATTERN names a group.
+        out: File of the picture.
+        reach: What counts as learned: success=0.9, return=1.5 or length=40, in two log entries in a row.
     """
 
     runs: tuple[str, ...]
@@ -108,16 +107,16 @@ class CompareConfig:
 
 @settings
 class TuneConfig(Trusting):
-    """Search for settings of training with Optuna: a file says what stays (base) and what varies (search).
+    """Search for settings of training with Optuna. A file names fixed settings (base) and the search space (search).
 
     Attributes:
         space: YAML file with base (settings) and search (name: [values] or {low, high, log}).
-        out: Folder for trials, runs and best.yml. A search in it goes on.
-        trials: Sets of settings to try, earlier ones included.
-        seeds: Each is run on this many seeds, from 0. Judge it on others.
-        reach: What is to be reached in the fewest primitive steps (mean of logarithms): success=0.9, return=1.5 or
-            length=40; nothing that runs have from their start.
-        jobs: Trials at a time.
+        out: Folder for trials, runs and best.yml. A search in it continues.
+        trials: Number of sets of settings to try, earlier ones included.
+        seeds: Number of seeds for each set, from 0. Judge the best one on other seeds.
+        reach: Goal to be reached in the fewest primitive steps (mean of logarithms): success=0.9, return=1.5 or
+            length=40. Runs must not have it at their start.
+        jobs: Number of trials at a time.
     """
 
     space: Path
@@ -133,7 +132,7 @@ class InspectConfig:
     """Show the options of a run folder, an options file or a model.zip, without loading the model.
 
     Attributes:
-        file: Which.
+        file: Run folder, options file or model.zip.
     """
 
     file: Path

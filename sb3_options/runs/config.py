@@ -72,7 +72,7 @@ class TrainConfig:
         n_envs: Parallel environments.
         options: Run, model or options to start with.
         max_options: Number of option slots.
-        max_new_options: Most to discover; None fills the slots.
+        max_new_options: Maximum to discover; None: all slots.
         eval_freq: Primitive steps per evaluation; 0: none.
         tensorboard_log: Folder for run folders.
         gamma: Discount γ per primitive step.
@@ -80,12 +80,12 @@ class TrainConfig:
         env_wrapper: Wrapper of the environment, module:Class.
         feature_map: φ: module:function, or temporal-distance.
         bonus: Intrinsic reward: none, counts or rnd.
-        success: terminated, return:30, steps:500.
+        success: Rule: terminated, return:30 or steps:500.
         checkpoint_freq: Primitive steps per checkpoint; 0: none.
         eval_episodes: Episodes of an evaluation.
-        eval_max_steps: Longest of them, in primitive steps; 0: any.
+        eval_max_steps: Their maximum primitive steps; 0: any.
         vec_env: Where environments run: dummy, subproc or ray.
-        progress: Show a progress bar.
+        progress: Whether to show a progress bar.
         discovery: How subgoals are found.
         option: How options are learned.
         usefulness: How options are judged by their use.
