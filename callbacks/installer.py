@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
@@ -84,8 +85,7 @@ class OptionInstaller:
         """φ of a batch of observations, (batch, d); φ may exist in a worker process only."""
         if self.learned_map is not None:
             return self.learned_map(observations)
-        features: FloatArray = self.venv.env_method("concept_features", observations, indices=[0])[0]
-        return features
+        return np.asarray(self.venv.env_method("concept_features", observations, indices=[0])[0])
 
     def send_learned_map(self) -> None:
         """Let the feature map of every environment be the one that is learned here."""

@@ -124,8 +124,7 @@ class IntrinsicRewardCallback(BaseCallback):
         )
 
     def _concept_features(self, observations: Observations) -> FloatArray:
-        features: FloatArray = self.training_env.env_method("concept_features", observations, indices=[0])[0]
-        return features
+        return np.asarray(self.training_env.env_method("concept_features", observations, indices=[0])[0])
 
     def _on_rollout_start(self) -> None:
         self._sums.clear()

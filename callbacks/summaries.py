@@ -10,7 +10,7 @@ from typing import Any, get_args
 from stable_baselines3.common.logger import Figure, HParam, Logger, TensorBoardOutputFormat
 
 from sb3_options.callbacks.keeper import OptionKeeper
-from sb3_options.checked import is_number
+from sb3_options.checked import flat, is_number
 from sb3_options.discovery.figures import map_figure
 from sb3_options.experience.option_run import OptionRun, Termination
 from sb3_options.options.bank import OptionBank
@@ -69,18 +69,9 @@ def draw_discovery(log: Logger, keeper: OptionKeeper) -> None:
 def log_settings(log: Logger, settings: Mapping[str, Any]) -> None:
     """Record settings, nested or flat, for TensorBoard's HParams tab."""
     if takes_more_than_numbers(log):
-        log.record("settings", HParam(_flat(settings), dict.fromkeys(RESULTS, 0.0)), NUMBERS_ONLY)
-
-
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, float | str]:
-    """Nested settings by their whole names, with dots: numbers and texts; what is None is left out."""
-    values: dict[str, float | str] = {}
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            values |= _flat(value, f"{prefix}{name}.")
-        elif value is not None:
-            values[prefix + name] = value if is_number(value) else str(value)
-    return values
+        given = {name: value for name, value in flat(settings).items() if value is not None}
+        values = {name: value if is_number(value) else str(value) for name, value in given.items()}
+        log.record("settings", HParam(values, dict.fromkeys(RESULTS, 0.0)), NUMBERS_ONLY)
 
 
 def save_or_warn(bank: OptionBank, path: str | os.PathLike[str] | None) -> None:

@@ -16,7 +16,7 @@ from typing import Any, TypeVar, dataclass_transform
 from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass
 
-__all__ = ["Field", "given_as", "is_number", "readable", "settings", "whole"]
+__all__ = ["Field", "flat", "given_as", "is_number", "readable", "settings", "whole"]
 
 from sb3_options.state import storable
 
@@ -59,6 +59,14 @@ def whole(value: object, least: int) -> bool:
 def given_as(cls: type[T], given: T | Mapping[str, Any]) -> T:
     """Settings as they were given, or those with the given fields."""
     return given if isinstance(given, cls) else cls(**given)  # type: ignore[arg-type]  # a mapping, or Python refuses it
+
+
+def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings by their whole names, with dots."""
+    values: dict[str, Any] = {}
+    for name, value in settings.items():
+        values |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return values
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:

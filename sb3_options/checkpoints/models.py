@@ -21,7 +21,8 @@ from sb3_options.learning.replay_buffer import Growing, OptionReplayBuffer
 from sb3_options.learning.rollout_buffer import option_rollout_buffer
 
 SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO", "MacroQ")
-"""Names of the classes of models whose whole state is known."""
+LIBRARIES = ("stable_baselines3", "sb3_contrib", "sb3_options")
+"""Names of the classes of models whose whole state is known, and where these are from."""
 
 COUNTERS = (
     "num_timesteps",
@@ -36,34 +37,33 @@ COUNTERS = (
     "_untrained_decisions",
     "_options_since",
 )
+LOGGED = {"values": "name_to_value", "counts": "name_to_count", "excluded": "name_to_excluded"}
+"""Attributes of a logger, by what they are called in a checkpoint."""
+
 LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 """What the environments gave last."""
 
 
 def check(model: BaseAlgorithm) -> None:
     """Refuse a model of which a checkpoint would not hold everything."""
-    known = type(model).__name__ in SUPPORTED and type(model).__module__.partition(".")[0] in (
-        "stable_baselines3",
-        "sb3_contrib",
-        "sb3_options",
-    )
-    if not known or model.use_sde:
+    of = type(model)
+    if of.__name__ not in SUPPORTED or of.__module__.partition(".")[0] not in LIBRARIES or model.use_sde:
         raise ValueError(
-            f"Checkpoints of {type(model).__name__} are not supported yet; those of {', '.join(SUPPORTED)} are, "
-            "without use_sde."
+            f"Checkpoints of {of.__name__} are not supported yet; those of {', '.join(SUPPORTED)} are, without use_sde."
         )
     family_of(model).prepare_buffer()
 
 
 def get_state(model: BaseAlgorithm) -> State:
     """Networks, optimizer, replay buffer and counters; a rollout buffer is empty at the start of a rollout."""
+    memory = getattr(model, "_last_lstm_states", None)  # of RecurrentPPO's networks
     state: State = {
         "class": type(model).__name__,
         "gamma": getattr(model, "gamma", None),
         "policy": dict(model.policy.state_dict()),
         "optimizer": model.policy.optimizer.state_dict() if hasattr(model.policy, "optimizer") else None,
         "choices": model._random.bit_generator.state if isinstance(model, MacroQ) else None,
-        "memory": _memory(model),
+        "memory": None if memory is None else [tuple(of_network) for of_network in memory],
         "counters": {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)},
         "last": {name: getattr(model, name, None) for name in LAST},
         "rollout": _rollout(model),
@@ -84,18 +84,11 @@ def growing(model: BaseAlgorithm) -> list[Growing]:
     return [] if buffer is None else buffer.growing()
 
 
-def _memory(model: BaseAlgorithm) -> list[tuple[torch.Tensor, ...]] | None:
-    """What RecurrentPPO's networks remember of the episodes under way."""
-    states = getattr(model, "_last_lstm_states", None)
-    return None if states is None else [tuple(of_network) for of_network in states]
-
-
 def _rollout(model: BaseAlgorithm) -> State:
     """How long the rollout is that begins, in decisions, and in primitive steps where these count."""
     buffer = getattr(model, "rollout_buffer", None)
-    attributes = {"n_steps": "buffer_size", "n_primitive_steps": "n_primitive_steps"}
-    sizes = {name: getattr(buffer, attribute, None) for name, attribute in attributes.items()}
-    return {name: size for name, size in sizes.items() if size is not None}
+    sizes = {"n_steps": "buffer_size", "n_primitive_steps": "n_primitive_steps"}  # by attribute
+    return {name: size for name, of in sizes.items() if (size := getattr(buffer, of, None)) is not None}
 
 
 def prepare(model: BaseAlgorithm, state: State) -> None:
@@ -181,32 +174,22 @@ def set_random_states(state: State) -> None:
 
 def logged(logger: Logger) -> State:
     """The numbers that were recorded and are not yet written."""
-    numbers = {
-        name: value for name, value in logger.name_to_value.items() if isinstance(value, int | float | np.number | str)
-    }
-    return {
-        "values": numbers,
-        "counts": dict(logger.name_to_count),
-        "excluded": {name: tuple(to) for name, to in logger.name_to_excluded.items() if name in numbers},
-    }
+    told = {name for name, value in logger.name_to_value.items() if isinstance(value, int | float | np.number | str)}
+    return {key: {n: v for n, v in getattr(logger, name).items() if n in told} for key, name in LOGGED.items()}
 
 
 def set_logged(logger: Logger, state: State) -> None:
     """Record what `logged` gave, and nothing else."""
-    for saved, recorded in (
-        (state["values"], logger.name_to_value),
-        (state["counts"], logger.name_to_count),
-        (state["excluded"], logger.name_to_excluded),
-    ):
+    for key, name in LOGGED.items():
+        recorded = getattr(logger, name)
         recorded.clear()
-        recorded.update(saved)
+        recorded.update(state[key])
 
 
 def event_file_sizes(logger: Logger) -> dict[str, int]:
     """Bytes of each event file of a logger, by name, with everything that was logged in them."""
-    for output in logger.output_formats:
-        if isinstance(output, TensorBoardOutputFormat):
-            output.writer.flush()
+    for writer in _writers(logger):
+        writer.flush()
     return {file.name: file.stat().st_size for file in _event_files(logger)}
 
 
@@ -215,11 +198,7 @@ def cut_event_files(logger: Logger, before: dict[str, int]) -> None:
     files = _event_files(logger)
     if not any(file.name in before for file in files):
         return  # the logger writes to another folder than before: nothing in it is touched
-    own = {
-        Path(output.writer.file_writer.event_writer._file_name).name  # type: ignore[attr-defined]  # a writer that was not closed has it
-        for output in logger.output_formats
-        if isinstance(output, TensorBoardOutputFormat)
-    }
+    own = {Path(writer.file_writer.event_writer._file_name).name for writer in _writers(logger)}
     for file in files:
         if file.name in before:
             os.truncate(file, min(before[file.name], file.stat().st_size))
@@ -228,5 +207,9 @@ def cut_event_files(logger: Logger, before: dict[str, int]) -> None:
 
 
 def _event_files(logger: Logger) -> list[Path]:
-    has_any = any(isinstance(output, TensorBoardOutputFormat) for output in logger.output_formats)
-    return sorted(Path(logger.dir).glob("*tfevents*")) if has_any and logger.dir is not None else []
+    return sorted(Path(logger.dir).glob("*tfevents*")) if _writers(logger) and logger.dir is not None else []
+
+
+def _writers(logger: Logger) -> list[Any]:
+    """Of TensorBoard; none was closed."""
+    return [output.writer for output in logger.output_formats if isinstance(output, TensorBoardOutputFormat)]

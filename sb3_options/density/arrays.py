@@ -17,8 +17,7 @@ LONGEST_KEY = 64
 def row_keys(rows: FloatArray) -> list[bytes]:
     """The bytes of each row (n, d), d ≥ 1, which equal rows share: adding 0 makes -0 a 0."""
     rows = np.ascontiguousarray(rows + 0.0)
-    keys: list[bytes] = rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel().tolist()
-    return keys
+    return rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel().tolist()
 
 
 def short_key(key: bytes) -> bytes:

@@ -41,5 +41,4 @@ def one_hot_log_density(
         of_positive = np.where(positive, 0.0, not_in_it[:, None])
         hit, miss = np.log1p(-negative_strength), np.log1p(-negative_strength * elsewhere)
         of_negative = np.where(negative > 0, negative * hit, 0.0) + (lengths[bags.n_positive :, None] - negative) * miss
-    density: FloatArray = of_positive.sum(axis=0) + of_negative.sum(axis=0)
-    return density
+    return np.asarray(of_positive.sum(axis=0) + of_negative.sum(axis=0))

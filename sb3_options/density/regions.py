@@ -53,8 +53,7 @@ class Region:
     def covers(self, points: FloatArray) -> BoolArray:
         """`contains` for places given by the features that count alone, (batch, d) or (batch, k)."""
         if self.normal is not None:
-            beyond: BoolArray = (points - self.points[0]) @ self.normal >= 0
-            return beyond
+            return np.asarray((points - self.points[0]) @ self.normal >= 0)
         if len(self.points) == 0:
             return np.zeros(len(points), dtype=bool)
         if len(points) == 1:
@@ -85,8 +84,7 @@ class Region:
 
     @cached_property
     def _factors(self) -> list[float]:
-        factors: list[float] = np.broadcast_to(self.scale, self.points.shape[1:]).tolist()
-        return factors
+        return list(np.broadcast_to(self.scale, self.points.shape[1:]).tolist())
 
     def around(self, points: FloatArray) -> Region:
         """The same region around other points, as when φ has moved."""

@@ -48,8 +48,7 @@ class FoundSubgoal(NamedTuple):
     @property
     def centre(self) -> FloatArray:
         """The middle of the subgoal in its own features, (d,)."""
-        centre: FloatArray = self.subgoal.points[0]
-        return centre
+        return np.asarray(self.subgoal.points[0])
 
     def where(self, kind: str | None) -> str:
         """The subgoal for people; ``kind`` says where φ comes from."""

@@ -48,8 +48,7 @@ class Features(NamedTuple):
 
 
 def _one_hot(numbers: IntArray, observations: Observations) -> FloatArray:
-    features: FloatArray = (np.asarray(observations).reshape(-1, 1) == numbers).astype(np.float64)
-    return features
+    return np.asarray(np.asarray(observations).reshape(-1, 1) == numbers, dtype=np.float64)
 
 
 def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) -> Features | None:

@@ -111,11 +111,6 @@ class OptionDQN(MaskedPrediction, DQN):
             )
         return self.replay_buffer
 
-    def _masks_now(self) -> BoolArray:
-        """Masks for the current observations of all training environments, shape (n_envs, n_actions)."""
-        assert self.env is not None  # there is no collecting without one
-        return np.stack(self.env.env_method("action_masks"))
-
     def _action_values(self, observation: Any) -> tuple[FloatArray, bool]:
         self.policy.set_training_mode(False)
         tensor, vectorized = self.policy.obs_to_tensor(observation)
@@ -149,7 +144,7 @@ class OptionDQN(MaskedPrediction, DQN):
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         assert self._last_obs is not None  # SB3 resets the environment before it collects
-        masks = self._masks_now()
+        masks = np.stack(cast("VecEnv", self.env).env_method("action_masks"))
         if masks[:, masks.shape[1] - self._n_slots :].any():
             self._options_since = min(self._options_since, self._n_calls)
         if self.num_timesteps < learning_starts:

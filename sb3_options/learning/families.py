@@ -191,8 +191,7 @@ class ValueBased(Networks):
 
     def outputs(self, batch: Any) -> torch.Tensor:
         """Q of every action; of QRDQN every quantile."""
-        values: torch.Tensor = heads.networks(self.model.policy)[0](batch)
-        return values
+        return torch.as_tensor(heads.networks(self.model.policy)[0](batch))
 
     def widen(self, actions: spaces.Discrete) -> None:
         """An empty `OptionReplayBuffer` takes the place of a stock one."""
@@ -237,8 +236,7 @@ class Sampled(Networks):
 
     def outputs(self, batch: Any) -> torch.Tensor:
         """Logarithms of the probabilities."""
-        logits: torch.Tensor = self._distribution(batch).distribution.logits
-        return logits
+        return torch.as_tensor(self._distribution(batch).distribution.logits)
 
     def _distribution(self, batch: Any) -> Any:
         return self.model.policy.get_distribution(batch)

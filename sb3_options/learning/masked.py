@@ -91,8 +91,7 @@ class MaskedPrediction(BaseAlgorithm):
         observations = _channels_first(observations, self.observation_space)
         if self._vec_normalize_env is not None:
             observations = unnormalized(self._vec_normalize_env, observations)
-        mask: BoolArray = self.env.env_method("available", as_wrapper_sees(self.env, observations), indices=[0])[0]
-        return mask
+        return np.asarray(self.env.env_method("available", as_wrapper_sees(self.env, observations), indices=[0])[0])
 
     def _action_values(self, observation: Any) -> tuple[FloatArray, bool]:
         """Q of every action, (batch, n_actions), and whether ``observation`` was a batch."""

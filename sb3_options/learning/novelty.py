@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import torch
 from gymnasium import spaces
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.torch_layers import create_mlp
 from torch import nn
 from torch.nn import functional
 
@@ -113,8 +115,7 @@ class RandomNetworkDistillation:
         if sum(map(len, self._visited)) >= BATCH:
             self._learn(torch.cat(self._visited))
             self._visited.clear()
-        novelty: FloatArray = errors.numpy().astype(np.float64)
-        return novelty
+        return np.asarray(errors.numpy(), dtype=np.float64)
 
     def records(self) -> dict[str, float]:
         """The predictor's last loss; nothing before the first."""
@@ -133,16 +134,8 @@ class RandomNetworkDistillation:
 
 
 def _network(size: int, *, n_hidden: int) -> nn.Sequential:
-    widths = [size, *[HIDDEN] * n_hidden]
-    layers: list[nn.Module] = []
-    for before, after in itertools.pairwise(widths):
-        layers += [nn.Linear(before, after), nn.ReLU()]
-    network = nn.Sequential(*layers, nn.Linear(HIDDEN, N_FEATURES))
-    for layer in network:
-        if isinstance(layer, nn.Linear):
-            nn.init.orthogonal_(layer.weight, math.sqrt(2.0))
-            nn.init.zeros_(layer.bias)
-    return network
+    network = nn.Sequential(*create_mlp(size, N_FEATURES, [HIDDEN] * n_hidden))
+    return network.apply(partial(BasePolicy.init_weights, gain=math.sqrt(2.0)))
 
 
 class ReturnScale:

@@ -34,8 +34,7 @@ class TabularPolicy:
 
     def best_values(self, observations: Observations) -> FloatArray:
         """The value of that action, shape (batch,)."""
-        best: FloatArray = self.values.max(axis=1)[self._rows(observations)]
-        return best
+        return np.asarray(self.values.max(axis=1)[self._rows(observations)])
 
     def _rows(self, observations: Observations) -> IntArray:
         """The row of each observation, or of the nearest one in the table, shape (batch,)."""
@@ -88,13 +87,11 @@ class NetworkPolicy:
 
     def actions(self, observations: Observations) -> IntArray:
         """The greedy primitive action in each observation, shape (batch,)."""
-        actions: IntArray = self._values(observations).argmax(axis=1)
-        return actions
+        return np.asarray(self._values(observations).argmax(axis=1))
 
     def best_values(self, observations: Observations) -> FloatArray:
         """The value of that action, shape (batch,)."""
-        best: FloatArray = self._values(observations).max(axis=1)
-        return best
+        return np.asarray(self._values(observations).max(axis=1))
 
     def _values(self, observations: Observations) -> FloatArray:
         hidden = (flatten(observations) - self.mean) / self.std

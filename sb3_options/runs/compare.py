@@ -18,6 +18,7 @@ from rich.table import Table
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options.atomic import atomic_write
+from sb3_options.checked import flat
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.success import learned_at
 from sb3_options.runs import yaml_file
@@ -165,8 +166,8 @@ def runs_in(folder: Path) -> list[Path]:
 
 def grouped(runs: Sequence[Run]) -> dict[str, list[Run]]:
     """Runs that differ only in their seed make a group, named by the settings that set it apart."""
-    flat = [_flat({k: v for k, v in run.settings.items() if k not in NO_SETTING}) for run in runs]
-    texts = [{name: json.dumps(value, default=str).replace('"', "") for name, value in each.items()} for each in flat]
+    settings = [flat({k: v for k, v in run.settings.items() if k not in NO_SETTING}) for run in runs]
+    texts = [{name: json.dumps(value, default=str).replace('"', "") for name, value in of.items()} for of in settings]
     names = sorted({name for each in texts for name in each})
     differing = [name for name in names if _sets_apart(name, texts)]
     groups: dict[str, list[Run]] = {}
@@ -181,14 +182,6 @@ def _sets_apart(name: str, texts: Sequence[Mapping[str, str]]) -> bool:
     own = name != "algo" and name.partition(".")[0] in OWN
     algos = [each.get("algo") if own else None for each in texts]
     return len({(algo, each.get(name)) for algo, each in zip(algos, texts, strict=True)}) > len(set(algos))
-
-
-def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by their whole names, with dots."""
-    flat: dict[str, Any] = {}
-    for name, value in settings.items():
-        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
-    return flat
 
 
 def _unnumbered(folder: Path) -> str:

@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import AfterValidator, TypeAdapter
 
-from sb3_options.atomic import atomic_write
 from sb3_options.checked import Field, settings
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.embedding.settings import LEARNED
@@ -248,14 +247,12 @@ def load(path: Path, trusted: Mapping[str, str | None] | None = None) -> TrainCo
 
 def save(config: TrainConfig, path: Path) -> None:
     """Write a configuration as YAML that ``--config`` reads back."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(yaml_file.dump(as_values(config), sort_keys=False), encoding="utf-8")
+    yaml_file.write(path, as_values(config))
 
 
 def as_values(config: TrainConfig) -> dict[str, Any]:
     """All settings by name, as JSON has values."""
-    values: dict[str, Any] = TypeAdapter(TrainConfig).dump_python(config, mode="json")
-    return values
+    return dict(TypeAdapter(TrainConfig).dump_python(config, mode="json"))
 
 
 def read(path: Path, trusted: Mapping[str, str | None] | None = None) -> dict[str, Any]:

@@ -62,8 +62,7 @@ def iqm(values: FloatArray, axis: int = -1) -> Any:
 def resampled(values: FloatArray, seed: int) -> FloatArray:
     """Bootstrap resamples of the runs of one condition, (n_resamples, n)."""
     rng = np.random.default_rng(seed)
-    drawn: FloatArray = values[rng.integers(len(values), size=(N_STRATIFIED, len(values)))]
-    return drawn
+    return values[rng.integers(len(values), size=(N_STRATIFIED, len(values)))]
 
 
 def interval_of(statistic: float, resamples: FloatArray) -> Interval:

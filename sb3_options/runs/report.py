@@ -78,12 +78,10 @@ def show_options(config: InspectConfig, console: Console) -> None:
 
 def closing_report(console: Console, trained: Trained, *, draws: bool) -> None:
     """Print what training found and how it went, and what follows."""
-    config = trained.config
-    folder = trained.folder
-    discovery = trained.discovery
+    config, folder, discovery, finished, _ = trained
     unit = "episodes" if config.discovery.segmentation == "episodes" else "segments"
     steps = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}"
-    console.print(f"\n[bold]{'Finished' if trained.finished else 'Interrupted'}[/] after {steps}.")
+    console.print(f"\n[bold]{'Finished' if finished else 'Interrupted'}[/] after {steps}.")
     rows = option_rows(option_file.opened(folder / NAME), {each.slot: each.timestep for each in discovery.discoveries})
     if rows:
         console.print("Options:", _table(HEADINGS, rows), sep="\n")
@@ -103,7 +101,7 @@ def closing_report(console: Console, trained: Trained, *, draws: bool) -> None:
         f"TensorBoard:  python -m tensorboard.main --logdir {path}",
         f"Evaluate:     {program()} evaluate {path}{video}{_importing(config)}",
     ]
-    if not trained.finished and (how := how_to_resume(config, folder)):
+    if not finished and (how := how_to_resume(config, folder)):
         lines.append(how)
     console.print(*map(escape, lines), sep="\n")
 

@@ -143,7 +143,7 @@ def train(config: TrainConfig, console: Console | None = None, *, resumed: Path 
             _draw(config, discovery, folder)
             if finished and (folder / runs.CHECKPOINTS).is_dir():
                 # Last: a process that was killed before does the end again.
-                _write(folder / FINISHED, {"n_timesteps": config.n_timesteps})
+                yaml_file.write(folder / FINISHED, {"n_timesteps": config.n_timesteps})
     trained = Trained(config, folder, discovery, finished, interrupts.signal)
     closing_report(console, trained, draws=draws)
     return trained
@@ -166,20 +166,16 @@ def resume(resumed: ResumeConfig, console: Console) -> Trained | None:
     """Go on with a run. A finished run is left as it is."""
     run = resumed.run
     with held(run):
-        config = config_of(resumed)
+        _refuse_links(run)
+        config = configs.load(run / runs.CONFIG, resumed.trusted())
+        total = max(resumed.n_timesteps or 0, config.n_timesteps)
+        # The options that it started with are in the checkpoint.
+        config = dataclasses.replace(config, n_timesteps=total, options=None, progress=resumed.progress)
         if not is_finished(config, run):
             return train(config, console, resumed=run)
     console.print(f"{escape(str(run))} is finished: it has trained for {config.n_timesteps:,} primitive steps.")
     console.print("To train on, pass --n-timesteps with a larger number.")
     return None
-
-
-def config_of(resumed: ResumeConfig) -> TrainConfig:
-    """The configuration of a run as it goes on. The options it started with are in the checkpoint."""
-    _refuse_links(resumed.run)
-    config = configs.load(resumed.run / runs.CONFIG, resumed.trusted())
-    total = max(resumed.n_timesteps or 0, config.n_timesteps)
-    return dataclasses.replace(config, n_timesteps=total, options=None, progress=resumed.progress)
 
 
 def _refuse_links(run: Path) -> None:
@@ -198,11 +194,6 @@ def is_finished(config: TrainConfig, run: Path) -> bool:
         return False
     trained = yaml_file.read_mapping(run / FINISHED).get("n_timesteps")
     return isinstance(trained, int) and trained >= config.n_timesteps
-
-
-def _write(path: Path, content: dict[str, Any]) -> None:
-    with atomic_write(path) as temporary:
-        temporary.write_text(yaml_file.dump(content, sort_keys=False), encoding="utf-8")
 
 
 def _learn(
@@ -241,8 +232,10 @@ def _learn(
         if resume:
             steps = load_checkpoint(where, model, callbacks)
             console.print(f"Going on after {steps:,} primitive steps.")
-            content = yaml_file.read_mapping(folder / runs.CONFIG)
-            _write(folder / runs.CONFIG, content | {"n_timesteps": config.n_timesteps})  # for the next `resume`
+            content = yaml_file.read_mapping(folder / runs.CONFIG)  # for the next `resume`
+            yaml_file.write(
+                folder / runs.CONFIG, content | {"n_timesteps": config.n_timesteps}
+            )  # for the next `resume`
         if interrupts.signal is None:
             console.print(
                 f"Training {config.algo.upper()} on {escape(config.env)} for {config.n_timesteps:,} primitive steps."

@@ -10,6 +10,8 @@ from typing import Any
 
 import yaml
 
+from sb3_options.atomic import atomic_write
+
 MAX_CHARACTERS = 100_000
 """Longest text that is read; PyYAML takes about a second for it."""
 
@@ -69,7 +71,12 @@ def parse(text: str) -> Any:
         raise ValueError(" ".join(str(error).split())) from error
 
 
+def write(path: Path, content: Mapping[str, Any]) -> None:
+    """Replace a YAML file when all of it is written."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(dump(content, sort_keys=False), encoding="utf-8")
+
+
 def dump(content: Mapping[str, Any], *, sort_keys: bool = True) -> str:
     """Values as YAML that `parse` reads back."""
-    text: str = yaml.dump(content, Dumper=Dumper, sort_keys=sort_keys)
-    return text
+    return yaml.dump(content, Dumper=Dumper, sort_keys=sort_keys)

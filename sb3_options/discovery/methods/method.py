@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -249,5 +249,4 @@ def checked_method(method: Any) -> DiscoveryMethod | None:
         return None
     if isinstance(method, type) or not callable(getattr(method, "update", None)):
         raise TypeError(f"method must be a name, or an object with update(experience), got {method!r}.")
-    made: DiscoveryMethod = method
-    return made
+    return cast("DiscoveryMethod", method)

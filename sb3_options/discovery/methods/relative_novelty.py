@@ -59,8 +59,7 @@ class RelativeNovelty(CandidateMethod):
         """By how much the logarithm of the likelihood ratio exceeds that of the odds."""
         target, other = self.p_target, self.p_other
         evidence = hits * np.log(target / other) + (seen - hits) * np.log((1 - target) / (1 - other))
-        margin: FloatArray = evidence - np.log(self.odds)
-        return margin
+        return np.asarray(evidence - np.log(self.odds))
 
 
 def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:

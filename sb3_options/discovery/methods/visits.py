@@ -68,8 +68,7 @@ class FirstVisits(CandidateMethod):
     def _accepted(self, seen: FloatArray, hits: FloatArray) -> FloatArray:
         """The most visited places, ties included."""
         del seen
-        most: FloatArray = (hits == hits.max()).astype(np.float64)
-        return most
+        return np.asarray(hits == hits.max(), dtype=np.float64)
 
     def seconds(self, experience: Experience) -> float:
         """Nominal time of an update."""
