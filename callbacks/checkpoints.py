@@ -81,8 +81,8 @@ class CheckpointCallback(BaseCallback):
 
     def _check_folder(self) -> None:
         """Refuse a folder with checkpoints of more steps than there are: the newest would be another training's."""
-        there, now = self.folder.last_steps(), self.model.num_timesteps
-        if self._resumed is None and there is not None and there > now:
+        there, now = max((int(file.stem) for file in self.folder), default=0), self.model.num_timesteps
+        if self._resumed is None and there > now:
             raise ValueError(
                 f"{self.folder.path} holds a checkpoint of {there:,} primitive steps, of another training, and this "
                 f"one begins at {now:,}. Choose another folder, or remove that one; or go on with that training: "

@@ -46,7 +46,8 @@ PLAIN = (type(None), bool, int, float, str, bytes, np.ndarray, np.generic)
 def storable(cls: type[T]) -> type[T]:
     """Class decorator: a checkpoint stores objects of this class whole, and makes them anew from their fields.
 
-    The class is a dataclass, a named tuple, or names the arguments of its constructor in ``STATE``.
+    The class is a dataclass whose constructor takes all fields, a named tuple, or names the arguments of its
+    constructor in ``STATE``.
     """
     other = VALUES.setdefault(cls.__name__, cls)
     if (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
@@ -77,8 +78,9 @@ def names_of(cls: type[Any]) -> tuple[str, ...]:
     """Names of the attributes that are the state of a class."""
     if "__dataclass_fields__" in vars(cls):
         return tuple(each.name for each in dataclasses.fields(cls) if not each.metadata.get("transient"))
-    if cls in FOREIGN:
-        return FOREIGN[cls]
+    for foreign in cls.__mro__:
+        if foreign in FOREIGN:
+            return FOREIGN[foreign]
     declared = [vars(base)["STATE"] for base in reversed(cls.__mro__) if "STATE" in vars(base)]
     if not declared and issubclass(cls, tuple) and hasattr(cls, "_fields"):
         declared = [cls._fields]
@@ -91,15 +93,9 @@ def names_of(cls: type[Any]) -> tuple[str, ...]:
 
 def made(name: str, fields: Mapping[str, Any]) -> Any:
     """An object of a class decorated with `storable`."""
-    cls = VALUES.get(name)
-    if cls is None:
+    if name not in VALUES:
         raise ValueError(f"it holds a {name!r}, which is not known")
-    late = [each.name for each in dataclasses.fields(cls) if not each.init] if dataclasses.is_dataclass(cls) else []
-    new = cls(**{name: each for name, each in fields.items() if name not in late})
-    for each in late:
-        if each in fields:
-            object.__setattr__(new, each, fields[each])
-    return new
+    return VALUES[name](**fields)
 
 
 def state_of(owner: object) -> dict[str, Any]:
@@ -116,13 +112,19 @@ def restore(owner: Any, state: Mapping[str, Any]) -> None:
 
     The object's own ``set_state`` is not called. It takes the arrays over.
     """
-    for name in names_of(type(owner)):
+    for name in _names(owner):
         setattr(owner, name, _restored(getattr(owner, name, None), state[name], f"{type(owner).__name__}.{name}"))
+
+
+def _names(owner: object) -> list[str]:
+    """`names_of`, without those that an object of another library lacks."""
+    foreign = isinstance(owner, tuple(FOREIGN))
+    return [name for name in names_of(type(owner)) if not foreign or hasattr(owner, name)]
 
 
 def _fields(owner: object, where: str, seen: dict[int, object]) -> dict[str, Any]:
     seen[id(owner)] = owner
-    names = names_of(type(owner))
+    names = _names(owner)
     if dataclasses.is_dataclass(owner):
         declared = {each.name for each in dataclasses.fields(owner)}
         for name in getattr(owner, "__dict__", ()):

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import math
 
-from sb3_options.discovery.methods.diverse_density import PersistentPeaks
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
+
+from sb3_options.discovery.methods.diverse_density import PEAK_TOLERANCE, PersistentPeaks
+from sb3_options.discovery.peaks import PEAK_RADIUS
 from sb3_options.experience.observations import FloatArray
 
 
@@ -24,7 +29,17 @@ class FewPeaks(PersistentPeaks):
         self.max_places = max_places
         self.max_extent = max_extent
 
-    def places(self) -> tuple[FloatArray, float]:
-        """The middles of the best peaks' plateaus, and the extent of the widest."""
-        places, extent = super().places()
-        return (places if len(places) <= self.max_places and extent <= self.max_extent else places[:0]), extent
+    def places(self) -> FloatArray:
+        """The middles of the best peaks' plateaus; none where there are too many, or one is too wide."""
+        places, scale = super().places(), self.filters.known_scale
+        least = self.peaks[0].log_density - PEAK_TOLERANCE
+        tied = np.array([peak.point for peak in self.peaks if peak.log_density >= least])
+        few = 0 < len(places) <= self.max_places
+        return places if few and extent_of(tied, places, scale, PEAK_RADIUS) <= self.max_extent else places[:0]
+
+
+def extent_of(points: FloatArray, middles: FloatArray, scale: FloatArray, radius: float) -> float:
+    """How far the widest plateau of some points reaches from its middle (`plateau_centres`)."""
+    scaled = points * scale
+    plateau = connected_components(cdist(scaled, scaled) <= radius, directed=False)[1]
+    return float(np.linalg.norm(scaled - middles[plateau] * scale, axis=1).max())

@@ -22,7 +22,12 @@ from sb3_options.checkpoints.tree import State, encode
 from sb3_options.execution import layers
 from sb3_options.execution.above import Outermost
 from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.state import restore, state_of
+from sb3_options.state import declare, restore, state_of
+
+declare(VecNormalize, "obs_rms", "ret_rms", "returns", "old_obs", "old_reward")
+declare(VecFrameStack, "stacked_obs")
+declare(StackedObservations, "stacked_obs", "sub_stacked_observations")
+declare(RunningMeanStd, "mean", "var", "count")
 
 REMEMBER_NOTHING = (VecTransposeImage, VecCheckNan, VecExtractDictObs)
 
@@ -40,9 +45,13 @@ def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
     if not all(venv.env_is_wrapped(OptionsWrapper)):
         raise ValueError("Checkpoints of environments in worker processes need OptionsWrapper around each of them.")
     venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # it is asked whether they are instances
-    for why in venv.env_method("prepare_layers", just_reset):
+    for _, why in venv.env_method("on_layers", _prepare, just_reset):
         if why is not None:
             raise ValueError(why)
+
+
+def _prepare(env: Any, just_reset: bool) -> None:
+    layers.prepare(env, just_reset=just_reset)  # it is the same one, and stays in its process
 
 
 def get_state(venv: VecEnv) -> State:
@@ -56,7 +65,7 @@ def get_state(venv: VecEnv) -> State:
     if isinstance(venv, DummyVecEnv):
         states = [layers.states_of(env) for env in venv.envs]
     else:
-        states = list(venv.env_method("layer_states"))
+        states = [state for state, _ in venv.env_method("on_layers", layers.states_of)]
     return {"wrappers": wrappers, "environments": states, "seeds": seeds, "options": options}
 
 
@@ -76,7 +85,8 @@ def set_state(venv: VecEnv, state: State) -> list[str]:
         if type(venv).__name__ != wrapper["class"]:
             raise ValueError(f"The checkpoint is of environments in {wrapper['class']}, here is {type(venv).__name__}.")
         assert isinstance(venv, VecEnvWrapper)
-        _set_wrapper_state(venv, wrapper["state"])
+        if wrapper["state"]:
+            restore(venv, wrapper["state"])
         venv = venv.venv
     if isinstance(venv, VecEnvWrapper) or venv.num_envs != len(state["environments"]):
         raise ValueError(
@@ -89,7 +99,7 @@ def set_state(venv: VecEnv, state: State) -> list[str]:
         if isinstance(venv, DummyVecEnv):
             failure = layers.set_states(venv.envs[i], states)
         else:
-            ((failure, wrong),) = venv.env_method("set_layer_states", states, indices=[i])
+            ((failure, wrong),) = venv.env_method("on_layers", layers.set_states, states, indices=[i])
             if wrong is not None:
                 raise ValueError(wrong)
         if failure is not None:
@@ -98,40 +108,8 @@ def set_state(venv: VecEnv, state: State) -> list[str]:
 
 
 def _wrapper_state(venv: VecEnvWrapper) -> State:
-    if isinstance(venv, VecNormalize):
-        return {
-            "observations": {key: state_of(each) for key, each in _running(venv).items()},
-            "rewards": state_of(venv.ret_rms),
-            "returns": venv.returns,
-            "old": (venv.old_obs, venv.old_reward),
-        }
-    if isinstance(venv, VecFrameStack):
-        return {"frames": {key: stack.stacked_obs for key, stack in _stacks(venv).items()}}
     if type(venv) in REMEMBER_NOTHING:
         return {}
-    raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
-
-
-def _set_wrapper_state(venv: VecEnvWrapper, state: State) -> None:
-    if isinstance(venv, VecNormalize):
-        running = _running(venv)
-        for key, statistics in state["observations"].items():
-            restore(running[key], statistics)
-        restore(venv.ret_rms, state["rewards"])
-        venv.returns = state["returns"]
-        venv.old_obs, venv.old_reward = state["old"]
-    if isinstance(venv, VecFrameStack):
-        for key, stack in _stacks(venv).items():
-            stack.stacked_obs = state["frames"][key]
-
-
-def _running(venv: VecNormalize) -> dict[str, RunningMeanStd]:
-    """Those of observations; none where these are not normalised."""
-    if not venv.norm_obs:
-        return {}
-    return venv.obs_rms if isinstance(venv.obs_rms, dict) else {"": venv.obs_rms}
-
-
-def _stacks(venv: VecFrameStack) -> dict[str, StackedObservations[Any]]:
-    top: Any = venv.stacked_obs
-    return dict(top.sub_stacked_observations) if hasattr(top, "sub_stacked_observations") else {"": top}
+    if not isinstance(venv, VecNormalize | VecFrameStack):
+        raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
+    return state_of(venv)

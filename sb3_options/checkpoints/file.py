@@ -62,10 +62,6 @@ class CheckpointFolder:
         found = [file for file in self.path.glob(f"*{SUFFIX}") if file.stem.isdecimal()]
         return iter(sorted(found, key=lambda file: int(file.stem), reverse=True))
 
-    def last_steps(self) -> int | None:
-        """The primitive steps of the checkpoint that has most of them; None if there is none."""
-        return next((int(file.stem) for file in self), None)
-
     def save(self, steps: int, state: State, *, growing: Sequence[Growing] = ()) -> Path:
         """Write a checkpoint, and remove all but the last `KEPT`.
 

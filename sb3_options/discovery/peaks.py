@@ -18,7 +18,7 @@ MOST_TIED = 1000
 """Peaks that tie, or places that were visited equally often, are no subgoals if they are more than this."""
 
 
-def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tuple[FloatArray, float]:
+def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> FloatArray:
     """Peaks that tie and touch are one plateau; the middle of each plateau.
 
     In two rooms every crossing visits the doorway and both its neighbours, so that the three tie exactly: the middle
@@ -26,14 +26,8 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> tup
     """
     distances = cdist(points * scale, points * scale)
     n_plateaus, plateau = connected_components(distances <= radius, directed=False)
-    centres, extent = [], 0.0
-    for number in range(n_plateaus):
-        members = np.flatnonzero(plateau == number)
-        centre = members[distances[members][:, members].sum(axis=1).argmin()]
-        centres.append(centre)
-        extent = max(extent, float(distances[centre, members].max()))
-    middle: FloatArray = points[np.array(centres)]
-    return middle, extent
+    members = [np.flatnonzero(plateau == number) for number in range(n_plateaus)]
+    return np.array([points[of[distances[of][:, of].sum(axis=1).argmin()]] for of in members])
 
 
 @storable

@@ -49,7 +49,7 @@ def prepare(env: Any, *, just_reset: bool = False) -> Any:
     silent = next((i for i, layer in enumerate(layers) if isinstance(layer, RecordActions) or not _tells(layer)), None)
     if silent is None or isinstance(layers[silent], RecordActions):
         return env
-    if any(hasattr(layer, "set_layer_states") for layer in layers[silent:]):  # OptionsWrapper has it
+    if any(hasattr(layer, "on_layers") for layer in layers[silent:]):  # OptionsWrapper has it
         raise ValueError(
             f"Checkpoints of {type(layers[silent]).__name__} are not supported above OptionsWrapper: put the wrapper "
             "beneath it, give it get_state() and set_state(state), or the attribute remembers_nothing = True if it is "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
+from collections.abc import Callable
 from typing import Any, cast
 
 import gymnasium as gym
@@ -17,7 +18,6 @@ from sb3_options.checked import is_number, whole
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
-from sb3_options.execution import layers
 from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, primitive_of, run_option
@@ -374,23 +374,11 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._warned = True
             logger.warning(text)
 
-    def prepare_layers(self, just_reset: bool) -> str | None:
-        """`layers.prepare` this environment, in its own process; returns why it cannot: an error would end it."""
+    def on_layers(self, function: Callable[..., Any], *args: Any) -> tuple[Any, str | None]:
+        """What a function of this environment returns, in its own process, and the text of its error; see `layers`."""
         try:
-            layers.prepare(self.outermost, just_reset=just_reset)
-        except ValueError as error:
-            return str(error)
-        return None
-
-    def layer_states(self) -> list[layers.State]:
-        """`layers.states_of` this environment, in its own process."""
-        return layers.states_of(self.outermost)
-
-    def set_layer_states(self, states: list[dict[str, Any]]) -> tuple[str | None, str | None]:
-        """`layers.set_states` of this environment, in its own process: what it returns, and the text of its error."""
-        try:
-            return layers.set_states(self.outermost, states), None
-        except ValueError as error:
+            return function(self.outermost, *args), None
+        except ValueError as error:  # it would end the process
             return None, str(error)
 
     def __setstate__(self, state: dict[str, Any]) -> None:

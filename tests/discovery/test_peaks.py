@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
+from experiments.common.few_peaks import extent_of
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
 
 A, B = [0.0, 0.0], [5.0, 0.0]
@@ -32,14 +33,14 @@ def peaks(*points: list[float]) -> np.ndarray[tuple[int, ...], np.dtype[np.float
     ],
 )
 def test_plateau_centres(points: list[float], radius: float, centres: list[float]) -> None:
-    result, _ = plateau_centres(np.array(points, dtype=np.float64)[:, None], np.ones(1), radius)
+    result = plateau_centres(np.array(points, dtype=np.float64)[:, None], np.ones(1), radius)
     assert result.ravel().tolist() == centres
 
 
 def test_plateaus_are_made_in_scaled_units() -> None:
     points = peaks([0, 0], [0, 1], [0, 2], [1, 0])
-    assert plateau_centres(points, np.array([10.0, 1.0]), 1.0)[0].tolist() == [[0, 1], [1, 0]]
-    assert len(plateau_centres(points, np.array([10.0, 10.0]), 1.0)[0]) == 4
+    assert plateau_centres(points, np.array([10.0, 1.0]), 1.0).tolist() == [[0, 1], [1, 0]]
+    assert len(plateau_centres(points, np.array([10.0, 10.0]), 1.0)) == 4
 
 
 @pytest.mark.parametrize(
@@ -47,8 +48,9 @@ def test_plateaus_are_made_in_scaled_units() -> None:
     [([3], 0), ([9, 10, 11], 1), ([0, 1, 2, 3, 4], 2), ([9, 10, 20, 21, 22, 23], 2), ([0, 5, 10], 0)],
 )
 def test_how_far_plateaus_reach(points: list[float], extent: float) -> None:
-    assert plateau_centres(np.array(points, dtype=np.float64)[:, None], np.ones(1), 1.0)[1] == extent
-    assert plateau_centres(np.array(points, dtype=np.float64)[:, None], np.full(1, 3.0), 3.0)[1] == 3 * extent
+    tied = np.array(points, dtype=np.float64)[:, None]
+    for scale, radius in ((np.ones(1), 1.0), (np.full(1, 3.0), 3.0)):
+        assert extent_of(tied, plateau_centres(tied, scale, radius), scale, radius) == scale[0] * extent
 
 
 @given(
@@ -59,14 +61,14 @@ def test_there_is_a_middle_for_each_connected_component(points: list[tuple[int, 
     places = np.array(points, dtype=np.float64)
     distances = cdist(places, places)
     _, component = connected_components(distances <= radius, directed=False)
-    centres, extent = plateau_centres(places, np.ones(2), radius)
+    centres = plateau_centres(places, np.ones(2), radius)
     which = [points.index((int(x), int(y))) for x, y in centres]
     assert list(component[which]) == sorted(set(component))  # one of each, in the order of their first peaks
     farthest = [distances[at, component == component[at]] for at in range(len(places))]
     assert [float(farthest[at].sum()) for at in which] == [
         min(farthest[at].sum() for at in np.flatnonzero(component == label)) for label in sorted(set(component))
     ]
-    assert extent == max(farthest[at].max() for at in which)
+    assert extent_of(places, centres, np.ones(2), radius) == max(farthest[at].max() for at in which)
 
 
 class TestAverages:

@@ -128,7 +128,7 @@ class PersistentPeaks(Method):
         else:
             self.peaks = self._search(evidence, engine, starts)
             self._cost += self._seconds_of_search(evidence, engine)
-        self.tracker.update(self.places()[0], self.filters.known_scale)
+        self.tracker.update(self.places(), self.filters.known_scale)
 
     def _certain(self, evidence: FilteredBags, engine: DiverseDensity, starts: FloatArray | None) -> list[Peak]:
         """The peaks where no search is needed: a point is in all bags, and none of them is negative."""
@@ -239,10 +239,8 @@ class PersistentPeaks(Method):
             f"{REMEDIES[self.maker.emptied_by]}"
         )
 
-    def places(self) -> tuple[FloatArray, float]:
-        """The middles of the best peaks' plateaus, (n, d), and how far the widest reaches from its own."""
+    def places(self) -> FloatArray:
+        """The middles of the best peaks' plateaus, (n, d)."""
         least = self.peaks[0].log_density - PEAK_TOLERANCE
         tied = np.array([peak.point for peak in self.peaks if peak.log_density >= least])
-        if len(tied) > MOST_TIED:
-            return tied[:0], np.inf
-        return plateau_centres(tied, self.filters.known_scale, PEAK_RADIUS)
+        return tied[:0] if len(tied) > MOST_TIED else plateau_centres(tied, self.filters.known_scale, PEAK_RADIUS)

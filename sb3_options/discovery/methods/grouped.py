@@ -68,11 +68,6 @@ class GroupedPeaks(Method):
         """The search of each group."""
         return dict(zip(self._groups, self._members, strict=True))
 
-    @property
-    def _leader(self) -> PersistentPeaks:
-        """The search of the group whose concept has the largest average."""
-        return self._members[self._leading]
-
     def is_due(self, database: TrajectoryDatabase) -> bool:
         """Whether enough trajectories have succeeded since the last search."""
         assert isinstance(database, OutcomeDatabase)  # of discovery with groups
@@ -115,7 +110,7 @@ class GroupedPeaks(Method):
 
     def values(self) -> dict[str, float]:
         """Of the group whose concept has the largest average."""
-        return self._leader.values()
+        return self._members[self._leading].values()
 
     def n_successes(self, diary: Diary) -> int:
         """Successes in the database, with the failures that stand for some."""
@@ -123,6 +118,6 @@ class GroupedPeaks(Method):
 
     def why_nothing(self, diary: Diary) -> str:
         """Why it proposed nothing, where it might have."""
-        why = self._leader.why_nothing(diary, self._n_successful)
+        why = self._members[self._leading].why_nothing(diary, self._n_successful)
         n = self._n_standing
         return f"{why} Failures that stand for successes (salient_share): {n}." if n else why

@@ -55,9 +55,8 @@ class FirstVisits(CandidateMethod):
         if self._successes < self.min_successes or not most:
             return []
         points = np.array([region.points[0] for region in most[: MOST_TIED + 1]])
-        centres = points[:0]
-        if len(points) <= MOST_TIED:
-            centres, _ = plateau_centres(points, experience.scale, self.radius)
+        few = len(points) <= MOST_TIED
+        centres = plateau_centres(points, experience.scale, self.radius) if few else points[:0]
         self._tracker.update(centres, experience.scale)
         return [experience.region(concept.point) for concept in self._tracker.persistent(self.threshold)]
 
