@@ -11,6 +11,7 @@ from stable_baselines3 import PPO
 
 from sb3_options import ConceptsInObservation, OptionsWrapper, WithoutConcepts
 from sb3_options.callbacks import SubgoalDiscoveryCallback
+from tests.support.helpers import DictEnv
 from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, small_rooms
 
 
@@ -75,6 +76,22 @@ def test_the_network_need_not_see_the_concepts() -> None:
     other = one | {"concepts": torch.ones(1, 2)}
     assert extractor.features_dim == 1
     assert torch.equal(extractor(one), extractor(other))
+
+
+@pytest.mark.parametrize("inner", [blind_rooms, DictEnv])
+def test_concepts_are_one_more_part_of_the_observation(inner: Any) -> None:
+    env = ConceptsInObservation(inner(), lambda *_: [7, -7], size=2)
+    own = inner().observation_space
+    parts = dict(own.spaces) if isinstance(own, spaces.Dict) else {"observation": own}
+    assert env.observation_space == spaces.Dict(parts | {"concepts": spaces.Box(-np.inf, np.inf, (2,), np.float32)})
+    assert env._saved_kwargs == {"concepts": env._concepts, "size": 2}
+    for observation in (env.reset(seed=0)[0], env.step(0)[0]):
+        assert env.observation_space.contains(observation)
+        inside = {key: value for key, value in observation.items() if key != "concepts"}
+        plain = inside if isinstance(own, spaces.Dict) else inside["observation"]
+        assert own.contains(plain)
+        features = env.concept_features({"concepts": observation["concepts"][None]})
+        assert (features.tolist(), str(features.dtype)) == ([[7.0, -7.0]], "float64")
 
 
 def test_concepts_are_copied() -> None:

@@ -52,6 +52,45 @@ def test_recording_can_begin_and_end_at_any_time() -> None:
     assert all("trajectory" not in env.step(0)[4] for _ in range(4))
 
 
+def test_beneath_it_all_is_as_without_it() -> None:
+    """Before recording, what was never recorded is no report; seeds and options of a reset arrive."""
+    told: list[Any] = []
+
+    class Told(CountingEnv):
+        def reset(self, **kwargs: Any) -> Any:
+            told.append(kwargs)
+            return super().reset(**kwargs)
+
+    env = RecordTrajectories(Told())
+    assert (env.finished, env.max_segment, env.take()) == ([], None, {})
+    assert env.get_state() == {"recorder": None, "max_segment": None}
+    env.reset(seed=4, options={"there": 1})
+    assert told == [{"seed": 4, "options": {"there": 1}}]
+    env.step(1)
+    assert env.unwrapped.actions == [1]  # type: ignore[attr-defined]  # of CountingEnv
+
+
+@pytest.mark.parametrize("max_segment", [None, 7])
+def test_it_goes_on_from_a_checkpoint(max_segment: int | None) -> None:
+    """Rewards grow until the end, so that nothing is cut before."""
+    inner = CountingEnv(
+        step=lambda env, _: (np.array([float(env.time)]), float(env.time), env.time == 3, False, {"is_success": True})
+    )
+    env, later = RecordTrajectories(inner), RecordTrajectories(inner)
+    env.set(True, max_segment, None)
+    env.reset()
+    env.step(1)
+    later.set_state(env.get_state())
+    later.step(0)
+    later.step(1)
+    report = later.take()
+    whole = report["trajectory"] if max_segment is None else report["segments"][0]
+    assert (whole.actions.tolist(), states_of(whole).tolist()) == ([1, 0, 1], [0, 1, 2, 3])
+    assert (whole.is_success, later.max_segment) == (True, max_segment)
+    later.set_state(RecordTrajectories(inner).get_state())
+    assert later.take() == {}
+
+
 def test_an_info_dictionary_used_again_does_not_bring_the_trajectory_back() -> None:
     shared: dict[str, Any] = {}
     env = OptionsWrapper(

@@ -13,9 +13,10 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
 from sb3_options.density.regions import Region
+from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, ball, equal, steady_option
+from tests.support.helpers import CountingEnv, ball, equal, steady_option, table_option
 
 # Versions of gymnasium differ in the versions of Taxi they still make.
 TAXI = next(env_id for env_id in ("Taxi-v3", "Taxi-v4") if env_id in gym.registry)
@@ -108,6 +109,89 @@ def test_spec_makes_the_wrapper_again(env_id: str, kwargs: dict[str, Any]) -> No
     assert equal(again.reset(seed=1)[0], env.reset(seed=1)[0])
 
 
+def test_its_arguments_are_recorded_as_they_are(tmp_path: Any) -> None:
+    """A feature map may be a method of the environment, which a copy of the map would copy too."""
+
+    class Uncopied:
+        def __call__(self, observations: Any) -> Any:
+            return np.zeros((len(observations), 3))
+
+        def __deepcopy__(self, memo: Any) -> Any:
+            raise RuntimeError("copied")
+
+    file = tmp_path / "options.safetensors"
+    OptionsWrapper(CountingEnv(), 2, feature_map=Uncopied()).bank.save(file)
+    given: dict[str, Any] = {
+        "max_options": 2,
+        "gamma": 1.0,
+        "feature_map": Uncopied(),
+        "options_file": file,
+        "max_runs": 3,
+    }
+    env = OptionsWrapper(CountingEnv(), **given, check_finite=True)
+    assert env._saved_kwargs == given | {"check_finite": True}
+    assert (env.gamma, env.bank.observation_size, env.bank.feature_size) == (1.0, 1, 3)
+    assert env.bank.signature is not None
+    assert env.bank.signature[::2] == (str(env.observation_space), "given")
+
+
+def test_by_default_numbers_are_not_checked() -> None:
+    env = OptionsWrapper(CountingEnv(step=lambda *_: (np.array([np.nan]), np.inf, False, False, {})))
+    env.reset(seed=0)
+    assert env.step(0)[1] == np.inf
+
+
+def test_whether_an_option_ends_is_drawn_from_the_seed() -> None:
+    """β = 1/2. Before a reset has a seed, all environments draw alike."""
+
+    def durations(seed: int | None) -> list[int]:
+        env = OptionsWrapper(CountingEnv())
+        env.bank.add(table_option([1] * 1000, [0] * 1000, [0.5] * 1000))
+        env.reset(seed=seed)
+        return [env.step(2)[4]["option"]["duration"] for _ in range(40)]
+
+    assert durations(None) == durations(None)
+    assert durations(1) == durations(1) != durations(2)
+    assert set(durations(None)) > {1, 2}
+
+
+def test_several_slots_are_filled_and_emptied_at_once_and_what_was_set_is_kept() -> None:
+    env, option, other = OptionsWrapper(CountingEnv()), steady_option(), steady_option(1)
+    env.set_slots(options={0: option, 1: other, 3: option}, record=True)
+    env.set_slots(options={0: None, 1: None, 2: other, 3: other})
+    assert env.bank.slots == (None, None, other, other)
+    assert (env.slot_state.options, env.slot_state.record) == ({0: None, 1: None, 2: other, 3: other}, True)
+
+
+def test_a_learned_map_is_what_it_is_told_to_be() -> None:
+    one, two = (OptionsWrapper(CountingEnv(), feature_map="temporal-distance") for _ in range(2))
+    assert one.features is not None
+    assert isinstance(one.features.map, LearnedMap)
+    assert (one.traits.feature_kind, one.features.size) == ("temporal-distance", LearnedMap.size)
+    one.features.map.scale[:] = 2.0
+    two.set_slots(learned_map=one.features.map.arrays())
+    seen = np.array([[3.0], [5.0]])
+    np.testing.assert_array_equal(two.concept_features(seen), one.concept_features(seen))
+
+
+def test_warnings_say_what_to_do(caplog: pytest.LogCaptureFixture) -> None:
+    for chosen in (True, False):
+        env = OptionsWrapper(CountingEnv())
+        env.reset(seed=0)
+        _ = env.step(2) if chosen else env.action_masks()
+    assert caplog.messages == [
+        "Slot 0 was chosen, and it is empty: a primitive action takes its place. To train, give learn() a "
+        "SubgoalDiscoveryCallback, or a PrimitiveStepsCallback where nothing is to be discovered: they close empty "
+        "slots, which harm learning otherwise. A trained model needs its options in the environment it acts in: "
+        'sb3_options.load_model(DQN, "model.zip", env) or sb3_options.load_options("model.zip", env). This is said '
+        "once.",
+        "No slot holds an option, so that masks allow primitive actions alone. If options were discovered, the model "
+        'needs them here: sb3_options.load_model(MaskablePPO, "model.zip", env) or '
+        'sb3_options.load_options("model.zip", env). To train, give learn() a SubgoalDiscoveryCallback or a '
+        "PrimitiveStepsCallback. This is said once.",
+    ]
+
+
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_goes_on_alike(how: Any) -> None:
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
@@ -131,7 +215,7 @@ def test_an_environment_that_masks_its_own_actions_goes_on_doing_so() -> None:
     env = OptionsWrapper(Masked(), 2)
     env.bank.add(steady_option())
     env.reset()
-    assert env.action_masks().tolist() == [True, True, True, False]
+    assert (env.action_masks().tolist(), str(env.action_masks().dtype)) == ([True, True, True, False], "bool")
     env.step(1)
     assert env.action_masks().tolist() == [False, True, False, False]
     env.step(1)
