@@ -59,7 +59,13 @@ def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
         family.check(venv)
     if isinstance(family, Masked) and model._last_obs is not None:  # before a reset there are no masks
         _check_masks(venv)
-    _check_nothing_above_changes_steps(venv)
+    if names := changing_steps(venv):
+        raise ValueError(
+            f"{' and '.join(sorted(names))} above OptionsWrapper may change rewards, observations or the ends of "
+            "episodes, of which the steps inside options know nothing: put it beneath, for instance "
+            "OptionsWrapper(TimeLimit(env, 500)). A wrapper of your own whose step returns what the environment's step "
+            "returned says so by a class attribute, returns_steps_unchanged = True."
+        )
     check_gamma(model, venv)
     _check_same("options", [[None if option is None else option.name for option in bank.slots] for bank in banks])
 
@@ -108,17 +114,6 @@ def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
                 f"Between OptionsWrapper and the algorithm observations change from {beneath} to {above}: put what "
                 "changes them beneath OptionsWrapper, for instance OptionsWrapper(TransformObservation(env, ...))."
             )
-
-
-def _check_nothing_above_changes_steps(venv: VecEnv) -> None:
-    """Refuse Gymnasium wrappers above `OptionsWrapper` that change rewards, observations or the ends of episodes."""
-    if names := changing_steps(venv):
-        raise ValueError(
-            f"{' and '.join(sorted(names))} above OptionsWrapper may change rewards, observations or the ends of "
-            "episodes, of which the steps inside options know nothing: put it beneath, for instance "
-            "OptionsWrapper(TimeLimit(env, 500)). A wrapper of your own whose step returns what the environment's step "
-            "returned says so by a class attribute, returns_steps_unchanged = True."
-        )
 
 
 def check_same_slots(venv: VecEnv, eval_env: VecEnv) -> None:

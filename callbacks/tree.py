@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EvalCallback, EventCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, EventCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 
@@ -18,9 +18,8 @@ def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
         children += root.callbacks
     if isinstance(root, EventCallback):
         children += [root.callback, getattr(root, "callback_on_new_best", None)]
-    if not isinstance(root, ConvertCallback):
-        for child in children:
-            yield from all_callbacks(child)
+    for child in children:
+        yield from all_callbacks(child)
 
 
 def check_every_step(callback: BaseCallback) -> None:

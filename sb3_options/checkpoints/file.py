@@ -70,11 +70,14 @@ class CheckpointFolder:
         blocks = self.path / BLOCKS
         blocks.mkdir(parents=True, exist_ok=True)
         known = KnownBlocks(growing, self._known)
-        content = _packed(state, blocks, known)
+        content, arrays = encode(state)
+        large = {number: _cut(a, blocks, known) for number, a in arrays.items() if a.nbytes > BLOCK_BYTES}
+        small = {number: array for number, array in arrays.items() if number not in large}
+        packed = sealed(FORMAT, {"state": content, "blocks": large}, small)
         _sync(blocks)
         file = self.path / f"{steps:012d}{SUFFIX}"
         with atomic_write(file) as temporary:
-            temporary.write_bytes(content)
+            temporary.write_bytes(packed)
         _sync(self.path)
         self._known = known
         self._remove_old()
@@ -132,13 +135,6 @@ def read(file: Path) -> State:
         if not isinstance(state, dict):
             raise ValueError("it holds no state")
     return state
-
-
-def _packed(state: State, blocks: Path, known: KnownBlocks) -> bytes:
-    content, arrays = encode(state)
-    large = {number: _cut(a, blocks, known) for number, a in arrays.items() if a.nbytes > BLOCK_BYTES}
-    small = {number: array for number, array in arrays.items() if number not in large}
-    return sealed(FORMAT, {"state": content, "blocks": large}, small)
 
 
 def _cut(array: npt.NDArray[Any], folder: Path, known: KnownBlocks) -> State:

@@ -53,10 +53,8 @@ class Bags:
                     f"{name} must have shape (instances, features), at least one of each and as many features as "
                     f"{names[0]}, {arrays[0].shape}, got {array.shape}"
                 )
-        instances = np.concatenate(arrays)
-        for name, array in zip(names, arrays, strict=True):
             check_finite(name, array)
-        return cls(torch.from_numpy(instances), tuple(map(len, arrays)), len(positive))
+        return cls(torch.from_numpy(np.concatenate(arrays)), tuple(map(len, arrays)), len(positive))
 
     @property
     def n_features(self) -> int:

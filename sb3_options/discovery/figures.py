@@ -79,9 +79,8 @@ def map_figure(discovery: Discovery, bank: OptionBank) -> Figure | None:
     if density is None and not discovery.found:
         return None
     visits = np.zeros(len(seen), dtype=np.int64)
-    for labelled, own in zip(
-        runs, np.split(rows.ravel(), np.cumsum([len(t.features) for t in runs])[:-1]), strict=True
-    ):
+    of_runs = np.split(rows.ravel(), np.cumsum([len(t.features) for t in runs])[:-1])
+    for labelled, own in zip(runs, of_runs, strict=True):
         visits[np.unique(own)] += labelled.success
     options = [o for o in bank.slots if isinstance(o, SubgoalOption) and o.subgoal.group is None]
     squares = _Map(seen, discovery.scale, _axis_names(discovery, seen.shape[1]))

@@ -94,10 +94,6 @@ class PeakTracker:
         above = [c for c in self.concepts if c.found and c.average > threshold * self.limit]
         return sorted(above, key=lambda c: -c.average)
 
-    def forget(self) -> None:
-        """Start again without concepts."""
-        self.concepts = []
-
     def _nearest(self, peak: FloatArray, scale: FloatArray) -> TrackedConcept | None:
         if not self.concepts:
             return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,18 +13,6 @@ Column = npt.NDArray[np.float32]
 """A number for each row of a replay buffer."""
 
 END = -1  # nothing is stored that follows: the episode ended, or the newest decision
-
-
-class NStepReturns(NamedTuple):
-    """Returns over the next n decisions, or fewer where the episode ends or nothing more is stored, (batch,) each.
-
-    They are R₁ + γ^k₁ R₂ + γ^(k₁+k₂) R₃ + …, each Rᵢ over the kᵢ primitive steps of its decision, and γ to the power of
-    all of these. ``last`` is the row of the last decision, in whose next observation the value is bootstrapped.
-    """
-
-    last: Indices
-    rewards: npt.NDArray[np.float32]
-    discounts: npt.NDArray[np.float32]
 
 
 class Successors:
@@ -75,8 +63,21 @@ class Successors:
         self.following[: len(state["following"])] = state["following"]
         self._newest = state["newest"]
 
-    def returns(self, rows: Indices, n: int, rewards: Column, discounts: Column) -> NStepReturns:
-        """The n-step returns from some rows, (batch,), given the rewards and the γᵏ of all rows of the buffer."""
+    def returns(self, rows: Indices, n: int, rewards: Column, discounts: Column) -> tuple[Indices, Column, Column]:
+        """Returns from some rows over the next n decisions, or fewer where the episode ends or nothing more is stored.
+
+        They are R₁ + γ^k₁ R₂ + γ^(k₁+k₂) R₃ + …, each Rᵢ over the kᵢ primitive steps of its decision.
+
+        Args:
+            rows: Where they begin, (batch,).
+            n: Decisions.
+            rewards: Of all rows of the buffer.
+            discounts: The γᵏ of all rows.
+
+        Returns:
+            The row of the last decision, in whose next observation the value is bootstrapped; the returns; and γ to the
+            power of all their primitive steps. (batch,) each.
+        """
         last = rows
         total = rewards[rows]
         discount = discounts[rows]
@@ -86,4 +87,4 @@ class Successors:
             last = np.where(goes_on, following, last)
             total = total + np.where(goes_on, discount * rewards[last], np.float32(0))
             discount = np.where(goes_on, discount * discounts[last], discount)
-        return NStepReturns(last, total, discount)
+        return last, total, discount

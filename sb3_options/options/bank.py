@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -17,6 +18,7 @@ from sb3_options.options.option import KnownFeatures, Option, SingleCache, Subgo
 from sb3_options.options.sealed import errors_of
 
 
+@dataclass(eq=False, repr=False)
 class OptionBank:
     """Ordered slots: augmented action ``n_primitive + i`` is slot i, for ever.
 
@@ -35,26 +37,20 @@ class OptionBank:
         ValueError: ``n_primitive`` < 1 or ``max_options`` < 0.
     """
 
-    def __init__(
-        self,
-        n_primitive: int,
-        max_options: int,
-        *,
-        feature_map: FeatureMap | None = None,
-        observation_size: int | None = None,
-        feature_size: int | None = None,
-        signature: SpaceSignature | None = None,
-    ) -> None:
-        if not (whole(max_options, 0) and max_options <= MAX_SLOTS):
-            raise ValueError(f"max_options must be a whole number from 0 to {MAX_SLOTS:,}, got {max_options!r}.")
-        self.n_primitive = n_primitive
-        self.max_options = max_options
-        self.feature_map = feature_map
-        self.observation_size = observation_size
-        self.feature_size = feature_size
-        self.signature = signature
+    n_primitive: int
+    max_options: int
+    _: KW_ONLY
+    feature_map: FeatureMap | None = None
+    observation_size: int | None = None
+    feature_size: int | None = None
+    signature: SpaceSignature | None = None
+
+    def __post_init__(self) -> None:
+        """Begin with empty slots."""
+        if not (whole(self.max_options, 0) and self.max_options <= MAX_SLOTS):
+            raise ValueError(f"max_options must be a whole number from 0 to {MAX_SLOTS:,}, got {self.max_options!r}.")
         self._shared: KnownFeatures | None = None
-        self._slots: list[Option | None] = [None] * max_options
+        self._slots: list[Option | None] = [None] * self.max_options
         self.filled: tuple[int, ...] = ()
         self._forget_results()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import KW_ONLY, InitVar, dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -139,6 +140,7 @@ def checked_duration(max_duration: int) -> int:
 
 
 @storable
+@dataclass(eq=False, repr=False)
 class SubgoalOption(Option):
     """An option made of data only: reach a region of concept space, from within an initiation set.
 
@@ -156,25 +158,18 @@ class SubgoalOption(Option):
         ValueError: ``max_duration`` < 1.
     """
 
-    STATE = ("subgoal", "initiation_set", "option_policy", "policy_input", "max_duration", "name")
+    subgoal: Region
+    initiation_set: Region
+    option_policy: OptionPolicy
+    _: KW_ONLY
+    policy_input: PolicyInput = "observation"
+    feature_map: InitVar[FeatureMap | None] = None
+    max_duration: int = 100
+    name: str = "subgoal"
 
-    def __init__(
-        self,
-        subgoal: Region,
-        initiation_set: Region,
-        option_policy: OptionPolicy,
-        *,
-        policy_input: PolicyInput = "observation",
-        feature_map: FeatureMap | None = None,
-        max_duration: int = 100,
-        name: str = "subgoal",
-    ) -> None:
-        self.subgoal = subgoal
-        self.initiation_set = initiation_set
-        self.option_policy = option_policy
-        self.policy_input: PolicyInput = policy_input
-        self.max_duration = checked_duration(max_duration)
-        self.name = name
+    def __post_init__(self, feature_map: FeatureMap | None) -> None:
+        """Bind it to φ, if there is one."""
+        self.max_duration = checked_duration(self.max_duration)
         self._feature_map = feature_map
         self._forget_results()
 

@@ -187,7 +187,7 @@ class PersistentPeaks(Method):
         best = self.peaks[0].log_density
         self._n_accepted += 1
         self.completed = self.evidence
-        self.tracker.forget()
+        self.tracker.concepts.clear()
         self.peaks = []
         return best
 
