@@ -16,24 +16,11 @@ from sb3_options.embedding.settings import LEARNED
 from sb3_options.execution.features import MAX_FEATURES, flat_size
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.execution.wrapper import OptionsWrapper
-from sb3_options.experience.observations import (
-    FloatArray,
-    Observations,
-    batch_of_one,
-    batch_size,
-    concatenate,
-    flatten,
-    take,
-)
+from sb3_options.experience import observations as obs_batch
+from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.experience.option_run import OptionRun
-from sb3_options.learning.novelty import (
-    NoveltyKind,
-    RandomNetworkDistillation,
-    ReturnScale,
-    StateCounts,
-    bin_widths,
-    is_table_like,
-)
+from sb3_options.learning import novelty
+from sb3_options.learning.novelty import NoveltyKind, RandomNetworkDistillation, ReturnScale, StateCounts
 from sb3_options.learning.rollout_buffer import add_bonuses
 
 
@@ -110,14 +97,14 @@ class IntrinsicRewardCallback(BaseCallback):
         space = venv.unwrapped.observation_space
         if self.kind == "rnd":
             return RandomNetworkDistillation(flat_size(space), self.seed)
-        if is_table_like(space):
-            return StateCounts(flatten)
+        if novelty.is_table_like(space):
+            return StateCounts(obs_batch.flatten)
         # What was counted in a feature map that is learned would be something else later.
         learns = venv.has_attr("traits") and venv.get_attr("traits", [0])[0].feature_kind == LEARNED
         if venv.has_attr("concept_features") and not learns:
             return StateCounts(self._concept_features)
         if isinstance(space, spaces.Box) and np.prod(space.shape) <= MAX_FEATURES:
-            return StateCounts(flatten, bin_widths(space))
+            return StateCounts(obs_batch.flatten, novelty.bin_widths(space))
         raise ValueError(
             f"There is nothing to count in {space}: pass OptionsWrapper(feature_map=...) a function from a batch of "
             "observations to features (batch, d), or choose 'rnd'."
@@ -134,8 +121,8 @@ class IntrinsicRewardCallback(BaseCallback):
         assert self.scale is not None  # too
         runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
         arrived = [_arrived_in(run, last) for run, last in zip(runs, self._last_observations(), strict=True)]
-        ends = np.cumsum([batch_size(each) for each in arrived])[:-1]
-        bonuses = np.split(self.novelty.visit(concatenate(arrived)), ends)  # of primitive steps, (k,) each
+        ends = np.cumsum([obs_batch.batch_size(each) for each in arrived])[:-1]
+        bonuses = np.split(self.novelty.visit(obs_batch.concatenate(arrived)), ends)  # of primitive steps, (k,) each
         self._sums.append([_discounted(run, of_run) for run, of_run in zip(runs, bonuses, strict=True)])
         self.scale.update(bonuses)
         self._bonus_weight = self.weight / self.scale.std
@@ -156,10 +143,10 @@ class IntrinsicRewardCallback(BaseCallback):
             given = as_wrapper_sees(venv, self.locals["new_obs"])
         else:  # the originals: what was clipped is lost in the others
             given = as_wrapper_sees(normalizer.venv, normalizer.get_original_obs())
-        last = [take(given, slice(i, i + 1)) for i in range(venv.num_envs)]
+        last = [obs_batch.take(given, slice(i, i + 1)) for i in range(venv.num_envs)]
         for i, (done, info) in enumerate(zip(self.locals["dones"], self.locals["infos"], strict=True)):
             if done and info.get("terminal_observation") is not None:
-                last[i] = as_wrapper_sees(venv, batch_of_one(info["terminal_observation"]), normalized=True)
+                last[i] = as_wrapper_sees(venv, obs_batch.batch_of_one(info["terminal_observation"]), normalized=True)
         return last
 
 
@@ -167,7 +154,7 @@ def _arrived_in(run: OptionRun | None, last: Observations) -> Observations:
     """Where the primitive steps of a run led, the last of them to ``last``."""
     if run is None or run.observations is None:
         return last
-    return concatenate([take(run.observations, slice(1, None)), last])
+    return obs_batch.concatenate([obs_batch.take(run.observations, slice(1, None)), last])
 
 
 def _discounted(run: OptionRun | None, bonuses: FloatArray) -> float:

@@ -4,18 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from stable_baselines3.common import vec_env
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import (
-    DummyVecEnv,
-    SubprocVecEnv,
-    VecCheckNan,
-    VecEnv,
-    VecEnvWrapper,
-    VecExtractDictObs,
-    VecFrameStack,
-    VecNormalize,
-    VecTransposeImage,
-)
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 
 from sb3_options.checkpoints.tree import State, encode
@@ -25,11 +16,11 @@ from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.state import declare, restore, state_of
 
 declare(VecNormalize, "obs_rms", "ret_rms", "returns", "old_obs", "old_reward")
-declare(VecFrameStack, "stacked_obs")
+declare(vec_env.VecFrameStack, "stacked_obs")
 declare(StackedObservations, "stacked_obs", "sub_stacked_observations")
 declare(RunningMeanStd, "mean", "var", "count")
 
-REMEMBER_NOTHING = (VecTransposeImage, VecCheckNan, VecExtractDictObs)
+REMEMBER_NOTHING = (vec_env.VecTransposeImage, vec_env.VecCheckNan, vec_env.VecExtractDictObs)
 
 
 def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
@@ -110,6 +101,6 @@ def set_state(venv: VecEnv, state: State) -> list[str]:
 def _wrapper_state(venv: VecEnvWrapper) -> State:
     if type(venv) in REMEMBER_NOTHING:
         return {}
-    if not isinstance(venv, VecNormalize | VecFrameStack):
+    if not isinstance(venv, VecNormalize | vec_env.VecFrameStack):
         raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
     return state_of(venv)

@@ -100,10 +100,8 @@ class CheckpointFolder:
 
     def make_room(self) -> None:
         """Remove what can be spared on a full disk: all but the newest, and one from before any step."""
-        for file in list(self)[1:]:
-            file.unlink()
-        for file in self:
-            if int(file.stem) == 0:
+        for i, file in enumerate(self):
+            if i or int(file.stem) == 0:
                 file.unlink()
         if (self.path / BLOCKS).is_dir():
             self._remove_old()

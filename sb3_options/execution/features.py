@@ -17,15 +17,8 @@ from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.embedding.encoders import ObservationForm, form_of_array
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import LEARNED, MapName
-from sb3_options.experience.observations import (
-    FeatureMap,
-    FloatArray,
-    IntArray,
-    Observations,
-    batch_of_one,
-    concatenate,
-    flatten,
-)
+from sb3_options.experience import observations as obs_batch
+from sb3_options.experience.observations import FeatureMap, FloatArray, IntArray, Observations
 from sb3_options.options.file import SpaceSignature
 
 MAX_FEATURES = 4096
@@ -82,7 +75,7 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) ->
     if isinstance(space, spaces.Box | spaces.MultiBinary | spaces.MultiDiscrete):
         size = int(np.prod(space.shape))
         if size <= MAX_FEATURES:
-            return Features(flatten, size, "identity")
+            return Features(obs_batch.flatten, size, "identity")
     return None
 
 
@@ -123,14 +116,14 @@ def flat_size(space: gym.Space[Any]) -> int:
             "array by gymnasium.wrappers.FlattenObservation(env). For MiniGrid, use "
             "sb3_options.envs.minigrid.MiniGridWrapper."
         )
-    return int(flatten(_sample(space)).shape[1])
+    return int(obs_batch.flatten(_sample(space)).shape[1])
 
 
 def _sample(space: gym.Space[Any]) -> Observations:
     # From a copy, so that the environment's own space draws what it would have drawn without us.
     space = copy.deepcopy(space)
     space.seed(0)
-    return batch_of_one(space.sample())
+    return obs_batch.batch_of_one(space.sample())
 
 
 def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int | None:
@@ -147,7 +140,7 @@ def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int |
 def checked_size(feature_map: FeatureMap, one: Observations, name: str = "feature_map") -> int:
     """Dimensions d of what a feature map makes of a batch of ``one`` observation, and of a batch of two."""
     features = np.asarray(feature_map(one))
-    two = np.asarray(feature_map(concatenate([one, one])))
+    two = np.asarray(feature_map(obs_batch.concatenate([one, one])))
     d = features.shape[-1] if features.ndim else 0
     if d == 0 or features.shape != (1, d) or two.shape != (2, d) or features.dtype.kind not in "biufO":
         raise ValueError(

@@ -214,15 +214,12 @@ class OptionReplayBuffer(ReplayBuffer):
         return all(np.array_equal(self._next_observations[k][newest], v) for k, v in here.items())
 
     def _write_inner(self, run: OptionRun, there: Rows, done: bool, timeout: bool) -> None:
-        began = {key: self._as_stored(key, rows) for key, rows in self._split(run.observations).items()}
-        led = {key: np.concatenate([rows[1:], there[key]]) for key, rows in began.items()}
-        dones = np.zeros(run.duration, dtype=np.float32)
-        dones[-1] = done
-        timeouts = np.zeros(run.duration, dtype=np.float32)
-        timeouts[-1] = timeout
+        here = {key: self._as_stored(key, rows) for key, rows in self._split(run.observations).items()}
+        led = {key: np.concatenate([rows[1:], there[key]]) for key, rows in here.items()}
+        last = np.arange(run.duration) == run.duration - 1
         assert run.actions is not None  # an option reports its steps
         assert run.rewards is not None
-        self._write(began, led, run.actions[:, None], run.rewards, dones, timeouts, run.gamma, run.available)
+        self._write(here, led, run.actions[:, None], run.rewards, last & done, last & timeout, run.gamma, run.available)
 
     def _as_stored(self, key: str, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Observations from below the VecEnv in the shape the algorithm sees: SB3 puts image channels first."""
