@@ -76,7 +76,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "density, an option": lambda: _map(searched(), option()),
     "one feature of three has other units, no option": lambda: _map(searched(3.0, keyed=True), OptionBank(4, 1)),
     "another method, with a text": lambda: subgoals_figure(searched(method=Middle()), OptionBank(4, 1), FAILED),
-    "no map": lambda: subgoals_figure(Discovery(), OptionBank(4, 1)),
+    "no map": lambda: subgoals_figure(Discovery(), OptionBank(4, 1), FAILED),
 }
 
 
