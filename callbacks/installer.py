@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -133,9 +133,7 @@ class OptionInstaller:
         """Install pending options and remove closed ones."""
         self._uninstall_closed()
         for slot in self._pending:
-            option = self.bank[slot]
-            assert option is not None  # `install` has put it there
-            self._install_now(slot, option)
+            self._install_now(slot, cast("Option", self.bank[slot]))
         self._pending.clear()
 
     def on_rollout_end(self) -> None:

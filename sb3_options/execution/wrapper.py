@@ -242,9 +242,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 slots[slot] = legal[self._first_primitive(slot)]
 
     def _first_primitive(self, slot: int) -> int:
-        option = self.bank[slot]
-        assert option is not None  # an empty slot may not start
-        return primitive_of(option, self._observation, self.n_primitive)
+        return primitive_of(cast("Option", self.bank[slot]), self._observation, self.n_primitive)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds whether options with 0 < β < 1 end."""

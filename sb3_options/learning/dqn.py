@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.noise import ActionNoise
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.common.vec_env import VecEnv
@@ -49,8 +48,6 @@ class OptionDQN(MaskedPrediction, DQN):
     Raises:
         ValueError: The environment is not wrapped, or the buffer is another.
     """
-
-    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = DQN.policy_aliases
 
     def __init__(
         self,
@@ -143,15 +140,13 @@ class OptionDQN(MaskedPrediction, DQN):
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        assert self._last_obs is not None  # SB3 resets the environment before it collects
         masks = np.stack(cast("VecEnv", self.env).env_method("action_masks"))
         if masks[:, masks.shape[1] - self._n_slots :].any():
             self._options_since = min(self._options_since, self._n_calls)
         if self.num_timesteps < learning_starts:
             actions = np.array([self._explore(mask) for mask in masks])
         else:
-            last_obs = cast("npt.NDArray[Any]", self._last_obs)
-            actions, _ = self.predict(last_obs, deterministic=False, action_masks=masks)
+            actions, _ = self.predict(cast("npt.NDArray[Any]", self._last_obs), action_masks=masks)
         return actions, actions
 
     def _explore(self, mask: BoolArray) -> int:
@@ -170,10 +165,7 @@ class OptionDQN(MaskedPrediction, DQN):
         self._update_learning_rate(self.policy.optimizer)
         losses = []
         for _ in range(gradient_steps):
-            samples = cast(
-                "OptionReplayBufferSamples",
-                self._option_buffer().sample(batch_size, env=self._vec_normalize_env),
-            )
+            samples: OptionReplayBufferSamples = self._option_buffer().sample(batch_size, env=self._vec_normalize_env)
             with torch.no_grad():
                 target = smdp_target(self.q_net_target(samples.next_observations), samples)
             current = self.q_net(samples.observations).gather(1, samples.actions)

@@ -10,7 +10,6 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
 from stable_baselines3.common.preprocessing import is_image_space
-from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_options.experience.observations import BoolArray, Observations, take
@@ -270,12 +269,12 @@ class OptionReplayBuffer(ReplayBuffer):
         self.changes += 1
         self._changed_at[rows] = self.changes
 
-    def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
+    def sample(self, batch_size: int, env: VecNormalize | None = None) -> Any:
         """Draw an `OptionReplayBufferSamples` uniformly, with replacement."""
         # SB3 seeds and draws from numpy's global generator; drawing as it does keeps a run without options equal.
-        return BaseBuffer.sample(self, batch_size, env)  # type: ignore[no-any-return]  # SB3 leaves it unannotated
+        return BaseBuffer.sample(self, batch_size, env)
 
-    def _get_samples(self, batch_inds: npt.NDArray[Any], env: VecNormalize | None = None) -> ReplayBufferSamples:
+    def _get_samples(self, batch_inds: npt.NDArray[Any], env: VecNormalize | None = None) -> Any:
         def tensors(stored: Rows, rows: npt.NDArray[Any]) -> Any:
             seen: Any = self._normalize_obs(cast("Any", take(stored.get("", stored), rows)), env)
             return {k: self.to_torch(v) for k, v in seen.items()} if isinstance(seen, dict) else self.to_torch(seen)
@@ -287,7 +286,7 @@ class OptionReplayBuffer(ReplayBuffer):
             last, rewards, discounts = self._successors.returns(batch_inds, self.n_steps, self.rewards, self.discounts)
         rewards = self._normalize_reward(rewards.reshape(-1, 1), env)
         dones = self.dones[last] * (1 - self.timeouts[last])
-        samples = OptionReplayBufferSamples(
+        return OptionReplayBufferSamples(
             observations=tensors(self._observations, batch_inds),
             actions=self.to_torch(self.actions[batch_inds]),
             next_observations=tensors(self._next_observations, last),
@@ -296,7 +295,6 @@ class OptionReplayBuffer(ReplayBuffer):
             discounts=self.to_torch(discounts.reshape(-1, 1)),
             next_available=self.to_torch(self.next_available[last]) if self.tracks_availability else None,
         )
-        return cast("ReplayBufferSamples", samples)
 
     def _split(self, observations: Any) -> Rows:
         rows = observations if isinstance(observations, dict) else {"": observations}

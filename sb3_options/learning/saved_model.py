@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import weakref
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -51,7 +51,7 @@ def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[An
     content = content_in(path)
     model = algorithm.load(path, env=env, **kwargs)
     check_finite(model, path)
-    venv = _env_of(model)
+    venv = cast("VecEnv", model.get_env())
     load_options(content, venv)
     keep_options(model, venv.get_attr("bank", [0])[0])
     return model
@@ -116,14 +116,8 @@ def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
 def keep_options(model: BaseAlgorithm, bank: OptionBank) -> None:
     """Let the model carry the options of its environment, as they are now."""
     setattr(model, CARRIED, packed_text(bank.content()))
-    _carried_for[model] = weakref.ref(_env_of(model))
+    _carried_for[model] = weakref.ref(cast("VecEnv", model.get_env()))
 
 
 _carried_for: weakref.WeakKeyDictionary[BaseAlgorithm, weakref.ref[VecEnv]] = weakref.WeakKeyDictionary()
 """The environment that holds what a model carries; none for a model that SB3 has just loaded."""
-
-
-def _env_of(model: BaseAlgorithm) -> VecEnv:
-    venv = model.get_env()
-    assert venv is not None  # `load_model` was given one, and a training has one
-    return venv

@@ -12,15 +12,8 @@ import numpy.typing as npt
 
 from sb3_options.checked import is_number
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import (
-    BoolArray,
-    FeatureMap,
-    FloatArray,
-    IntArray,
-    Observations,
-    batch_size,
-    key_of,
-)
+from sb3_options.experience import observations as obs_batch
+from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, IntArray, Observations
 from sb3_options.options.policies import OptionPolicy, PolicyInput
 from sb3_options.state import storable
 
@@ -43,9 +36,9 @@ class SingleCache(Generic[Result]):
 
     def __call__(self, compute: Callable[[Observations], Result], observations: Observations) -> Result:
         """The result of ``compute``, always the same function; kept if the batch is a single observation."""
-        if batch_size(observations) != 1:
+        if obs_batch.batch_size(observations) != 1:
             return compute(observations)
-        key = key_of(observations)
+        key = obs_batch.key_of(observations)
         result = self._results.get(key)
         if result is None:
             if self._bytes > CACHE_BYTES:
@@ -123,7 +116,7 @@ class Option:
         return self._checked("termination", self._termination(observations), observations).astype(np.float64)
 
     def _checked(self, what: str, value: npt.ArrayLike, observations: Observations) -> npt.NDArray[Any]:
-        array, expected = np.asarray(value), (batch_size(observations),)
+        array, expected = np.asarray(value), (obs_batch.batch_size(observations),)
         if array.shape != expected:
             raise ValueError(
                 f"{what} of option {self.name!r} must return one value per observation, shape {expected}, "

@@ -65,5 +65,4 @@ class CandidateMethod(Method):
 
     def seconds(self, experience: Experience) -> float:
         """Nominal time of an update."""
-        del experience
         return PLACE_SECONDS * len(self._row)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -70,14 +70,12 @@ class GroupedPeaks(Method):
 
     def is_due(self, database: TrajectoryDatabase) -> bool:
         """Whether enough trajectories have succeeded since the last search."""
-        assert isinstance(database, OutcomeDatabase)  # of discovery with groups
         growth = self.settings.search_growth * database.n_successful
-        return database.n_entered - self._searched >= max(1.0, growth)
+        return cast("OutcomeDatabase", database).n_entered - self._searched >= max(1.0, growth)
 
     def update(self, experience: Experience) -> list[Region]:
         """Search the bags of every group once, and propose the concepts that have become persistent."""
-        database = experience.database
-        assert isinstance(database, OutcomeDatabase)  # of discovery with groups
+        database = cast("OutcomeDatabase", experience.database)
         self._searched = database.n_entered
         self._n_successful = database.n_successful
         self._n_standing = sum(each.whole is not None for each in database)

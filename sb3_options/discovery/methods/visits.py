@@ -66,7 +66,6 @@ class FirstVisits(CandidateMethod):
 
     def _accepted(self, seen: FloatArray, hits: FloatArray) -> FloatArray:
         """The most visited places, ties included."""
-        del seen
         return np.asarray(hits == hits.max(), dtype=np.float64)
 
     def seconds(self, experience: Experience) -> float:
