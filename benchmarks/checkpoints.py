@@ -85,9 +85,7 @@ class Contestant:
         env = runs.make_env(config, config.n_envs, config.seed)
         self.n_actions = int(cast("Discrete", env.action_space).n)
         self.model: BaseAlgorithm = make_model(config, env)
-        self.callbacks: list[BaseCallback] = [
-            SubgoalDiscoveryCallback(config.discovery, config.option, seed=config.seed)
-        ]
+        self.callbacks: list[BaseCallback] = [SubgoalDiscoveryCallback(config.discovery, config.option)]
         self.checkpoints = None if folder is None else TimedCheckpoints(folder, config.checkpoint_freq)
         if self.checkpoints is not None:
             self.callbacks.append(self.checkpoints)

@@ -84,7 +84,7 @@ def make(scenario: str, kind: Kind, seed: int) -> tuple[BaseAlgorithm, BaseCallb
     model = _dqn(venv, kind, seed) if scenario == "dqn" else _ppo(venv, seed)
     callback: BaseCallback | None = None
     if kind == "discovering":
-        callback = SubgoalDiscoveryCallback(seed=seed)
+        callback = SubgoalDiscoveryCallback()
     elif kind == "wrapped" and scenario != "dqn":
         callback = PrimitiveStepsCallback()  # on-policy algorithms learn from it how long the actions took
     return model, callback

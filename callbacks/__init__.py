@@ -4,6 +4,7 @@ from sb3_options.callbacks.checkpoints import CheckpointCallback, EndedAtCheckpo
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.intrinsic import IntrinsicRewardCallback
 from sb3_options.callbacks.keeper import ClosedOption, DiscoveredOption
+from sb3_options.callbacks.offline import discover
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.zoo import ZooDiscoveryCallback
 from sb3_options.options.settings import UsefulnessSettings
@@ -18,5 +19,6 @@ __all__ = [
     "SubgoalDiscoveryCallback",
     "UsefulnessSettings",
     "ZooDiscoveryCallback",
+    "discover",
     "load_checkpoint",
 ]

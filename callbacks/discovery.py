@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import islice
 from typing import Any
 
 from sb3_options.callbacks.checks import check_training
+from sb3_options.callbacks.demonstrated import labelled
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.keeper import ClosedOption, OptionKeeper
 from sb3_options.callbacks.learned_features import check_learned, features_for
@@ -16,7 +17,7 @@ from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.settings import ConceptSettings, OptionUse
 from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_run, log_settings, save_or_warn
 from sb3_options.callbacks.usefulness import Verdict
-from sb3_options.checked import given_as, whole
+from sb3_options.checked import given_as
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
@@ -54,7 +55,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         concepts: The space in which subgoals are searched: `ConceptSettings`.
         use: How the algorithm uses options: `OptionUse`.
         usefulness: How options are judged by their use, and closed where they are of none: `UsefulnessSettings`.
-        seed: Of option policies that are networks.
+        demonstrations: Trajectories that succeeded, as `record_demonstrations` returns, or a file of them: options are
+            there before the first step. A random policy gives failures if there are none among them.
         verbose: 1 prints each new option, and in the end, if there is none, why.
 
     `bank` holds the options, `discoveries` says when and where each was found, `closed` which were closed again, and
@@ -80,7 +82,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         concepts: ConceptSettings | Mapping[str, Any] | None = None,
         use: OptionUse | Mapping[str, Any] | None = None,
         usefulness: UsefulnessSettings | Mapping[str, Any] | None = None,
-        seed: int = 0,
+        demonstrations: Iterable[Trajectory] | str | os.PathLike[str] | None = None,
         verbose: int = 0,
     ) -> None:
         if isinstance(settings, Mapping) and "callback" in settings:  # SB3 calls what is not an object with its locals
@@ -98,14 +100,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.max_new_options = max_new_options
         self.save_path: str | os.PathLike[str] | None = None
         self.hparams: Mapping[str, Any] | None = None
-        if not whole(seed, 0):
-            raise ValueError(f"seed must be a whole number of at least 0, got {seed!r}.")
-        self.seed = seed
+        self.demonstrations = demonstrations
         self.episodes = 0
         self.history: list[EpisodeRecord] = []
         self.discovery: Discovery | None = None
         judging = given_as(UsefulnessSettings, {} if usefulness is None else usefulness)
-        self._keeper = OptionKeeper(self.option_settings, judging, seed)
+        self._keeper = OptionKeeper(self.option_settings, judging)
         self.discoveries = self._keeper.discoveries
         self.closed = self._keeper.closed
         self._began = 0
@@ -122,21 +122,24 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         venv = self.training_env
         use = self.use
         keeper = self._keeper
+        seed = self.model.seed or 0
         check_training(self, None if self._installer is None else self._installer.model)
         self._start_counting()
         self._installer = OptionInstaller(
             self.model, venv, self.locals.get("callback"), max_option_exploration=use.max_option_exploration
         )
-        keeper.features = features_for(keeper.features, self._installer, self.embedding, self.seed)
+        keeper.features = features_for(keeper.features, self._installer, self.embedding, seed)
         if keeper.features is not None:
             check_learned(self.settings, self.option_settings, own=bool(self.method or self.concepts.groups))
+        begins = self.discovery is None
         if self.discovery is None:
+            keeper.generator.manual_seed(seed)
             traits: Traits = venv.get_attr("traits", [0])[0]
             self.discovery = Discovery(
                 self.settings,
                 self.method,
                 groups=self._groups(traits),
-                seed=self.seed,
+                seed=seed,
                 success=self.success,
                 static_filter=self.concepts.static_filter,
                 kind=traits.feature_kind,
@@ -147,6 +150,15 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         peaks = self.settings.segmentation == "peaks"
         venv.env_method("set_slots", record=True, max_segment=self.settings.max_segment if peaks else None)
         self._ended = False
+        if begins and self.demonstrations is not None and keeper.may_make():
+            self._learn_from_demonstrations(self.demonstrations, seed)
+
+    def _learn_from_demonstrations(self, given: Iterable[Trajectory] | str | os.PathLike[str], seed: int) -> None:
+        for trajectory, success in labelled(given, self.training_env, self.success, seed):
+            self._learn_from(trajectory, success)
+        self.model._last_obs = self.training_env.reset()  # type: ignore[assignment]  # as in SB3's own code
+        if (normalizer := self.model.get_vec_normalize_env()) is not None:
+            self.model._last_original_obs = normalizer.get_original_obs()
 
     def _groups(self, traits: Traits) -> tuple[FeatureGroup, ...]:
         """The groups of features to search: those of the settings, or else those that the environment or φ names."""

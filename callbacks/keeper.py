@@ -73,13 +73,13 @@ class OptionKeeper:
     options: OptionInstaller
     search: Discovery
 
-    def __init__(self, settings: OptionLearningSettings, usefulness: UsefulnessSettings, seed: int) -> None:
+    def __init__(self, settings: OptionLearningSettings, usefulness: UsefulnessSettings) -> None:
         self.settings = settings
         self.most: int | None = None  # options to make, not counting closed ones
         self.discoveries: list[DiscoveredOption] = []
         self.closed: list[ClosedOption] = []
         self.made: set[int] = set()
-        self.generator = torch.Generator().manual_seed(seed)
+        self.generator = torch.Generator()
         self.useful = Usefulness(usefulness)
         self.growth = OptionGrowth()
         self.features: LearnedFeatures | None = None

@@ -4,8 +4,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sb3_options.checkpoints.demonstrations import load_demonstrations, save_demonstrations
     from sb3_options.density.diverse_density import DiverseDensity
     from sb3_options.execution.concepts import ConceptsInObservation, WithoutConcepts
+    from sb3_options.execution.demonstrations import record_demonstrations
     from sb3_options.execution.wrapper import OptionsWrapper
     from sb3_options.learning.dqn import OptionDQN
     from sb3_options.learning.expansion import expand_action_space
@@ -32,14 +34,20 @@ __all__ = [
     "WithoutConcepts",
     "__version__",
     "expand_action_space",
+    "load_demonstrations",
     "load_model",
     "load_options",
+    "record_demonstrations",
+    "save_demonstrations",
 ]
 
 _MODULES = {
+    "load_demonstrations": "sb3_options.checkpoints.demonstrations",
+    "save_demonstrations": "sb3_options.checkpoints.demonstrations",
     "DiverseDensity": "sb3_options.density.diverse_density",
     "ConceptsInObservation": "sb3_options.execution.concepts",
     "WithoutConcepts": "sb3_options.execution.concepts",
+    "record_demonstrations": "sb3_options.execution.demonstrations",
     "OptionsWrapper": "sb3_options.execution.wrapper",
     "OptionDQN": "sb3_options.learning.dqn",
     "expand_action_space": "sb3_options.learning.expansion",

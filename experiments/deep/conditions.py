@@ -92,7 +92,6 @@ def train(
             settings.option,
             max_new_options=settings.max_new_options if options is None else 0,
             use={"max_option_exploration": settings.max_option_exploration[family(algo)]},
-            seed=seed,
         )
         callbacks = [discovery, *callbacks, Served(eval_env)]
     elif arm == "repeats":

@@ -30,9 +30,7 @@ def run(config: TrainConfig, seed: int) -> Result:
     config = dataclasses.replace(config, seed=seed)
     env = runs.make_env(config, config.n_envs, seed)
     model = make_model(config, env)
-    discovery = SubgoalDiscoveryCallback(
-        config.discovery, config.option, max_new_options=config.max_new_options, seed=seed
-    )
+    discovery = SubgoalDiscoveryCallback(config.discovery, config.option, max_new_options=config.max_new_options)
     model.learn(config.n_timesteps, callback=discovery)
     lengths = [int(episode["l"]) for episode in (model.ep_info_buffer or [])]
     final = float(np.mean(lengths[-LAST_EPISODES:])) if lengths else None

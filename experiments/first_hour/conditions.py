@@ -130,7 +130,7 @@ def made_as_in_readme(condition: str, n_timesteps: int | None, seed: int) -> Tra
     """What the program in the README trains, with a seed, which it has not."""
     env = OptionsWrapper(gym.make(ROOMS), max_options=4, gamma=0.99)
     model = MaskablePPO("MlpPolicy", env, n_steps=512, seed=seed, **README[condition])
-    return Training(model, SubgoalDiscoveryCallback(seed=seed), n_timesteps or README_STEPS)
+    return Training(model, SubgoalDiscoveryCallback(), n_timesteps or README_STEPS)
 
 
 def run(task: str, condition: str, n_timesteps: int | None, seed: int) -> Result:

@@ -71,7 +71,7 @@ def run(task: str, arm: Arm, seed: int) -> Result:
     first = FirstSuccess()
     callbacks: list[BaseCallback] = [first]
     if discovers:
-        callbacks.insert(0, SubgoalDiscoveryCallback(SETTINGS.discovery, SETTINGS.option, seed=seed))
+        callbacks.insert(0, SubgoalDiscoveryCallback(SETTINGS.discovery, SETTINGS.option))
     if arm.endswith("count bonus"):
         callbacks.insert(0, IntrinsicRewardCallback("counts", weight=SETTINGS.bonus_weight, seed=seed))
     began = time.perf_counter()

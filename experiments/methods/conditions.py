@@ -189,7 +189,6 @@ def make_discovery(entry: Entry, task: RaceTask, seed: int, *, discovers: bool) 
         concepts={"static_filter": task.static_filter},
         max_new_options=SETTINGS.max_new_options if discovers and entry.entrant != NONE else 0,
         use={"max_option_exploration": SETTINGS.max_option_exploration[family(entry.learner)]},
-        seed=seed,
     )
 
 

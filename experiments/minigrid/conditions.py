@@ -146,7 +146,6 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_roll
             method=drawn,
             max_new_options=0 if is_last and stage else None,
             use={"max_option_exploration": settings.OPENING_SHARE, "primitive_rollouts": primitive_rollouts},
-            seed=seed,
         )
         callbacks.append(discovery)
     if arm == "hand-made" or arm in settings.HAND_MADE:

@@ -90,7 +90,7 @@ def train(study: Study, task: str, frames: int, seed: int, options: Path | None,
     venv = make_vec_env(lambda: make(task, asked=False), 8, seed=seed, wrapper_class=wrapped)
     how: dict[str, Any] = {"n_steps": 128, "batch_size": 256, "n_epochs": 4, "learning_rate": 1e-3, "ent_coef": 0.01}
     model = MaskablePPO("MlpPolicy", venv, gamma=0.99, seed=seed, device="cpu", **how)
-    discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness={} if study.judge else {"min_reached": 0}, seed=seed)
+    discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness={} if study.judge else {"min_reached": 0})
     notes = Notes(discovery, stop=study.until_learned and save is None)
     began = time.perf_counter()
     model.learn(frames, callback=[discovery, notes])

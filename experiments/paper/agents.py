@@ -96,7 +96,7 @@ def fork(agent: MacroQ) -> MacroQ:
 def discoverer(settings: PaperSettings, seed: int, *, max_new_options: int = 1) -> SubgoalDiscoveryCallback:
     """The library's callback with the paper's settings; with no new options it lets those there are go on learning."""
     callback = LearningOn(
-        settings.discovery(), settings.option(), method=settings.method(), max_new_options=max_new_options, seed=seed
+        settings.discovery(), settings.option(), method=settings.method(), max_new_options=max_new_options
     )
     callback.step_size = settings.option_step_size if settings.keep_learning else 0.0
     return callback

@@ -95,7 +95,6 @@ def discoverer(settings: PioneerSettings, seed: int, *, max_new_options: int) ->
         method=FewPeaks(max_places=2),
         concepts={"static_filter": ball_in_sight},
         max_new_options=max_new_options,
-        seed=seed,
     )
 
 

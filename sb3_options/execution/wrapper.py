@@ -25,6 +25,7 @@ from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.execution.slots import SlotState, Traits
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun, RunInfo
+from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
 
@@ -193,6 +194,18 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             outer.env = self._recording
         if self._recording is not None:
             self._recording.set(self.slot_state.record, self.slot_state.max_segment, self._observation)
+
+    def random_trajectories(self, episodes: int, seed: int) -> list[Trajectory]:
+        """Episodes of random primitive actions that the environment allows; reset the environment afterwards."""
+        from sb3_options.execution.demonstrations import record_demonstrations
+
+        random = np.random.default_rng(seed)
+
+        def act(observation: Any) -> int:
+            legal = self._legal()
+            return int(random.choice(self.n_primitive if legal is None else np.flatnonzero(legal)))
+
+        return record_demonstrations(self, act, episodes, seed=seed)
 
     def concept_features(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, shape (batch, d)."""

@@ -70,6 +70,7 @@ class TrainConfig:
         seed: Random seed.
         n_envs: Parallel environments.
         options: Run, model or options to start with.
+        demonstrations: File of demonstrations.
         max_options: Number of option slots.
         max_new_options: Maximum to discover; None: all slots.
         eval_freq: Primitive steps per evaluation; 0: none.
@@ -97,6 +98,7 @@ class TrainConfig:
     seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 0
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)] = 8
     options: Path | None = None
+    demonstrations: Path | None = None
     max_options: Annotated[int, Field(ge=0, le=MAX_OPTIONS)] = 4
     max_new_options: Natural | None = 1
     eval_freq: Natural = 0

@@ -157,7 +157,7 @@ def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDisco
         max_new_options=config.max_new_options,
         success=config.success,
         usefulness=config.usefulness,
-        seed=config.seed,
+        demonstrations=config.demonstrations,
         verbose=verbose,
     )
 

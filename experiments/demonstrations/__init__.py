@@ -1,0 +1,1 @@
+"""Options and cloning from a few demonstrations."""

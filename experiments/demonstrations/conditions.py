@@ -1,0 +1,117 @@
+"""What is compared: MaskablePPO from the same demonstrations, with and without options, with and without cloning."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Literal, get_args
+
+import gymnasium as gym
+import numpy as np
+from sb3_contrib import MaskablePPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+
+from experiments.common.seeds import Result
+from experiments.demonstrations.cloning import Cloning
+from sb3_options import OptionsWrapper, record_demonstrations
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.envs.minigrid import DISCOVERY, make
+
+Arm = Literal["options, cloned", "options", "cloned"]
+
+ARMS: tuple[Arm, ...] = get_args(Arm)
+
+TASKS = {"BabyAI-KeyCorridorS3R3-v0": 200_000}
+"""Frames after which a run is given up, by task."""
+
+LEARNED, EPISODES = 0.8, 100
+"""A run ends when so large a share of so many episodes in a row succeeds."""
+
+MAX_OPTIONS, GAMMA, N_ENVS = 8, 0.99, 8
+
+PPO: dict[str, Any] = {
+    "learning_rate": 0.001,
+    "n_steps": 128,
+    "batch_size": 256,
+    "n_epochs": 4,
+    "gae_lambda": 0.95,
+    "ent_coef": 0.01,
+}
+"""Those of ``train.py`` for MiniGrid."""
+
+FIRST_SEED = 10_000
+"""Of the episodes that are shown; those of training have others."""
+
+
+class UntilLearned(BaseCallback):
+    """Ends training when `LEARNED`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.recent: deque[bool] = deque(maxlen=EPISODES)
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            if "episode" in info:
+                self.recent.append(info["episode"]["r"] > 0)
+        return not self.learned
+
+    @property
+    def learned(self) -> bool:
+        """Whether training may end."""
+        return len(self.recent) == EPISODES and float(np.mean(self.recent)) >= LEARNED
+
+
+def bot_of(env: gym.Env[Any, Any]) -> Callable[[Any], int]:
+    """MiniGrid's own BabyAI bot, which plans with the environment's state."""
+    from minigrid.utils.baby_ai_bot import BabyAIBot
+
+    game: Any = env.unwrapped
+    planner: Any = None
+    last: Any = None
+
+    def act(observation: Any) -> int:
+        nonlocal planner, last
+        if game.step_count == 0:
+            planner, last = BabyAIBot(game), None  # type: ignore[no-untyped-call]
+        last = planner.replan(last)
+        return int(last)
+
+    return act
+
+
+def run(task: str, arm: Arm, episodes: int, seed: int) -> Result:
+    """Frames until learned, those of the demonstrations and of random failures included; None where it is not."""
+    max_options = MAX_OPTIONS if "options" in arm else 0
+
+    def wrapped() -> OptionsWrapper:
+        return OptionsWrapper(make(task, mission=False), max_options, gamma=GAMMA)
+
+    env = wrapped()
+    shown = record_demonstrations(env, bot_of(env), episodes, seed=FIRST_SEED + 1000 * seed)
+    failures = env.random_trajectories(episodes, FIRST_SEED + 1000 * seed) if max_options else []
+    frames = sum(map(len, [*shown, *failures]))
+    discovery = SubgoalDiscoveryCallback(
+        **DISCOVERY,
+        demonstrations=[*shown, *failures],
+        max_new_options=None if max_options else 0,
+    )
+    end = UntilLearned()
+    callbacks = [discovery, Cloning(discovery, shown, seed), end] if "cloned" in arm else [discovery, end]
+    model = MaskablePPO(
+        "MlpPolicy",
+        make_vec_env(wrapped, N_ENVS, seed=seed),
+        gamma=GAMMA,
+        seed=seed,
+        policy_kwargs={"net_arch": [64, 64]},
+        **PPO,
+    )
+    model.learn(TASKS[task] - frames, callbacks)
+    return {
+        "seed": seed,
+        "learned": frames + model.num_timesteps if end.learned else None,
+        "demonstrations": frames,
+        "success": float(np.mean(end.recent)) if end.recent else 0.0,
+        "options": [each.where for each in discovery.discoveries],
+    }

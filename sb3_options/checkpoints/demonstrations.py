@@ -1,0 +1,34 @@
+"""Files of demonstrations."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from sb3_options.atomic import atomic_write
+from sb3_options.checkpoints.tree import decode, encode
+from sb3_options.experience.trajectories import Trajectory
+from sb3_options.options.sealed import errors_of, sealed, unsealed
+
+FORMAT = "sb3-options demonstrations 1"
+
+
+def save_demonstrations(path: str | os.PathLike[str], trajectories: Iterable[Trajectory]) -> None:
+    """Write trajectories to a safetensors file, atomically: arrays and JSON, nothing that can run."""
+    content, arrays = encode(list(trajectories))
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(sealed(FORMAT, {"trajectories": content}, arrays))
+
+
+def load_demonstrations(path: str | os.PathLike[str]) -> list[Trajectory]:
+    """Read what `save_demonstrations` wrote.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds no demonstrations, or it is damaged.
+    """
+    content = Path(path).read_bytes()
+    with errors_of(os.fspath(path), "holds no demonstrations, or it is damaged"):
+        parts, arrays = unsealed(content, FORMAT)
+        return [each for each in decode(parts["trajectories"], arrays) if isinstance(each, Trajectory)]

@@ -1,0 +1,45 @@
+"""Demonstrations: trajectories of somebody else's policy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+
+from sb3_options.execution.wrapper import OptionsWrapper
+from sb3_options.experience.trajectories import Trajectory
+
+
+def record_demonstrations(
+    env: gym.Env[Any, Any], policy: Callable[[Any], Any] | Any, episodes: int = 20, *, seed: int = 0
+) -> list[Trajectory]:
+    """Record episodes of a policy, for ``SubgoalDiscoveryCallback(demonstrations=...)``.
+
+    Args:
+        env: Of discrete actions, with a limit of time. It gets an `OptionsWrapper` if it has none.
+        policy: From one observation to an action: an SB3 model, or a function. A function that plans with the state of
+            the environment, or asks a person, holds ``env`` itself.
+        episodes: How many.
+        seed: Of the first reset; the next have ``seed + 1`` and so on.
+
+    Returns:
+        The episodes in primitive steps, successful or not.
+
+    Raises:
+        ValueError: The policy chose no action of the environment.
+    """
+    if not env.has_wrapper_attr("random_trajectories"):
+        env = OptionsWrapper(env, 0)
+    act = (lambda observation: policy.predict(observation)[0]) if hasattr(policy, "predict") else policy
+    env.get_wrapper_attr("set_slots")(record=True)
+    trajectories = []
+    for episode in range(episodes):
+        observation, info = env.reset(seed=seed + episode)
+        ended = False
+        while not ended:
+            observation, _, terminated, truncated, info = env.step(act(observation))
+            ended = terminated or truncated
+        if "trajectory" in info:  # one that was too long is dropped
+            trajectories.append(info["trajectory"])
+    return trajectories

@@ -1,0 +1,173 @@
+"""Options, and a policy's warm start, from demonstrations."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from sb3_contrib import MaskablePPO
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize
+
+from sb3_options import OptionsWrapper, load_demonstrations, record_demonstrations, save_demonstrations
+from sb3_options.callbacks import SubgoalDiscoveryCallback, discover
+from sb3_options.experience.trajectories import Trajectory
+from sb3_options.options.bank import OptionBank
+from tests.callbacks.test_checkpoint_resuming import check_resumes, keep_all, model_of, venv_of
+from tests.support.helpers import equal, table_option, trajectory_of
+from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, make_optioned_rooms, optioned_rooms, small_rooms
+
+__all__ = ["keep_all"]
+
+WIDTH = 9
+UP, DOWN, LEFT, RIGHT = range(4)
+
+
+def to_the_goal(observation: Any) -> int:
+    """The way through the doorway of the small rooms."""
+    y, x = divmod(int(np.argmax(observation)), WIDTH)
+    doorway = int(DOORWAY[1])
+    if x < DOORWAY[0] and y != doorway:
+        return UP if y > doorway else DOWN
+    return RIGHT if x < WIDTH - 1 else DOWN
+
+
+@pytest.fixture(scope="module")
+def shown() -> list[Trajectory]:
+    return record_demonstrations(small_rooms(), to_the_goal, 12)
+
+
+def callback(given: Any, **kwargs: Any) -> SubgoalDiscoveryCallback:
+    return SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=1, demonstrations=given, **kwargs)
+
+
+class EndsAtOnce(BaseCallback):
+    """Ends training in the first step."""
+
+    def _on_step(self) -> bool:
+        return False
+
+
+def test_episodes_of_a_policy_are_recorded_in_primitive_steps(shown: list[Trajectory]) -> None:
+    assert len(shown) == 12
+    assert all(each.is_success and each.terminated and each.rewards[-1] > 0 for each in shown)
+    starts = {int(np.argmax(np.asarray(each.states)[0])) for each in shown}
+    assert len(starts) > 3  # another seed for each episode
+    again = record_demonstrations(small_rooms(), to_the_goal, 2, seed=1)
+    assert equal(again[0].visits, shown[1].visits)
+
+
+def test_a_model_shows_too_and_its_options_are_recorded_as_primitives() -> None:
+    env = optioned_rooms(1)
+    n_cells = WIDTH * 5
+    everywhere = np.ones(n_cells, dtype=bool)
+    env.set_option(0, _option(everywhere, np.full(n_cells, RIGHT), np.zeros(n_cells), max_duration=3))
+    model = DQN("MlpPolicy", env, buffer_size=1, seed=0)
+    model.predict = lambda observation: (np.array(4), None)  # type: ignore[method-assign, assignment, misc]
+    (trajectory,) = record_demonstrations(env, model, 1)
+    assert set(trajectory.actions.tolist()) == {RIGHT}
+    assert len(trajectory) == 150
+
+
+def _option(initiation: Any, policy: Any, termination: Any, **kwargs: Any) -> Any:
+    option = table_option(initiation, policy, termination, **kwargs)
+    for name in ("_initiation", "_policy", "_termination"):
+        of_state = getattr(option, name)
+        setattr(option, name, lambda observations, of_state=of_state: of_state(np.argmax(observations, axis=1)))
+    return option
+
+
+@pytest.mark.parametrize("algorithm", [DQN, PPO, MaskablePPO])
+def test_options_are_there_before_the_first_step(shown: list[Trajectory], algorithm: type[BaseAlgorithm]) -> None:
+    env = make_vec_env(optioned_rooms, 2, seed=0)
+    discovery = callback(shown)
+    algorithm("MlpPolicy", env, gamma=0.9, seed=0).learn(1000, [discovery, EndsAtOnce()])  # type: ignore[call-arg]
+    (found,) = discovery.discoveries
+    assert (found.episode, found.timestep) == (0, 0)
+    assert np.abs(found.subgoal - DOORWAY).sum() <= 1.0
+    assert [len(bank) for bank in env.get_attr("bank")] == [1, 1]
+    assert discovery.episodes == 0  # none of training
+
+
+def test_training_goes_on_from_a_reset_after_random_failures(shown: list[Trajectory]) -> None:
+    env = VecNormalize(make_vec_env(make_optioned_rooms, 2, seed=0, vec_env_cls=SubprocVecEnv), norm_reward=False)
+    try:
+        discovery = callback(shown)
+        model = PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, seed=0)
+        model.learn(256, discovery)
+        assert discovery.discoveries[0].timestep == 0
+        assert discovery.discovery is not None
+        failures = [each for each in discovery.discovery.database if not each.success][:3]
+        assert failures
+        assert all(each.trajectory.actions.std() > 0 for each in failures)
+    finally:
+        env.close()
+
+
+def test_random_actions_are_those_that_the_environment_allows() -> None:
+    class OnlyUp(gym.Wrapper[Any, Any, Any, Any]):
+        def action_masks(self) -> Any:
+            return np.array([True, False, False, False])
+
+    (walk,) = OptionsWrapper(OnlyUp(small_rooms()), 1).random_trajectories(1, 0)
+    assert set(walk.actions.tolist()) == {UP}
+
+
+@pytest.mark.usefixtures("keep_all")
+def test_a_training_with_demonstrations_goes_on_as_if_never_ended(shown: list[Trajectory], tmp_path: Path) -> None:
+    check_resumes(lambda: model_of("PPO", venv_of()), lambda: [callback(shown)], tmp_path)
+
+
+def test_options_without_training(shown: list[Trajectory], tmp_path: Path) -> None:
+    env = optioned_rooms()
+    bank = discover(shown, env, settings=FAST_DISCOVERY, max_new_options=1)
+    assert len(bank) == len(env.bank) == 1
+    bank.save(tmp_path / "options.safetensors")
+    assert len(OptionsWrapper(small_rooms(), gamma=0.9, options_file=tmp_path / "options.safetensors").bank) == 1
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"actions": np.full(3, 4)},
+        {"actions": np.full(3, -1)},
+        {"rewards": np.array([0.0, np.nan, 1.0])},
+        {"states": np.zeros((4, 7), np.float32)},
+        {"states": {"place": np.zeros((4, 45), np.float32)}},
+        {"states": np.full((4, 45), np.nan, np.float32)},
+    ],
+)
+def test_demonstrations_that_do_not_fit_are_refused(shown: list[Trajectory], wrong: dict[str, Any]) -> None:
+    good = trajectory_of([np.eye(45, dtype=np.float32)[i] for i in range(4)], is_success=True)
+    with pytest.raises(ValueError, match=r"Demonstration 1 does not fit .* Box\(0.0, 1.0.* from 0 to 3"):
+        discover([shown[0], dataclasses.replace(good, **wrong)], optioned_rooms())
+
+
+def test_demonstrations_without_a_success_or_of_another_type_are_refused() -> None:
+    failed = trajectory_of([np.eye(45, dtype=np.float32)[i] for i in range(4)], is_success=False)
+    with pytest.raises(ValueError, match="None of the 1 demonstrations succeeded"):
+        discover([failed], optioned_rooms())
+    with pytest.raises(TypeError, match="record_demonstrations"):
+        discover([failed.actions], optioned_rooms())  # type: ignore[list-item]
+
+
+def test_a_file_holds_the_same_trajectories_and_a_damaged_one_is_refused(
+    shown: list[Trajectory], tmp_path: Path
+) -> None:
+    path = tmp_path / "demonstrations.safetensors"
+    save_demonstrations(path, shown)
+    for read, written in zip(load_demonstrations(path), shown, strict=True):
+        assert all(equal(getattr(read, field), value) for field, value in vars(written).items())
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match="holds no demonstrations, or it is damaged"):
+        load_demonstrations(path)
+    OptionBank(4, 1).save(path)
+    with pytest.raises(ValueError, match="its format is"):
+        load_demonstrations(path)
