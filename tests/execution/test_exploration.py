@@ -63,6 +63,21 @@ def test_choices_among_what_is_allowed_keep_to_the_share(share: float) -> None:
     assert set(draws) == {0, 1, 2, 4, 5}
 
 
+def test_masks_and_probabilities_are_as_for_a_plain_space() -> None:
+    space, mask, probability = capped(0.0), np.arange(8, dtype=np.int8) == 5, np.eye(8)[6]
+    assert {int(space.sample(mask=mask.astype(np.int8))) for _ in range(20)} == {5}
+    assert {int(space.sample(probability=probability)) for _ in range(20)} == {6}
+
+
+def test_where_the_share_is_just_kept_choices_are_uniform() -> None:
+    """Three options of six actions, and half may be options."""
+    plain, space = spaces.Discrete(6, seed=0), capped(0.5, n_primitive=3, max_options=3, filled=3)
+    assert [space.sample() for _ in range(100)] == [plain.sample() for _ in range(100)]
+    uniform, chooser = np.random.default_rng(4), capped(0.5, n_primitive=3, max_options=3, filled=3)
+    chooser._np_random = np.random.default_rng(4)
+    assert [chooser.choose(np.ones(6, bool)) for _ in range(50)] == [uniform.choice(np.arange(6)) for _ in range(50)]
+
+
 def test_a_choice_without_primitives_is_an_option() -> None:
     assert capped(0.1).choose(np.arange(8) == 3) == 3
 

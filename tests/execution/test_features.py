@@ -8,8 +8,9 @@ from gymnasium import spaces
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
+from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.concepts import ConceptsInObservation
-from sb3_options.execution.features import MAX_FEATURES, flat_size, resolve
+from sb3_options.execution.features import MAX_FEATURES, flat_size, form_of, resolve, signature
 from tests.support.helpers import CountingEnv, DictEnv, place_of
 
 
@@ -164,3 +165,79 @@ def test_features_of_observations_that_a_wrapper_has_changed_are_refused() -> No
         OptionsWrapper(changed)
     OptionsWrapper(changed, feature_map=env.get_wrapper_attr("concept_features"))  # whoever means it says so
     assert OptionsWrapper(gym.wrappers.RecordEpisodeStatistics(env)).traits.feature_kind == "environment"
+
+
+@pytest.mark.parametrize(
+    ("space", "form"),
+    [
+        (spaces.Discrete(5), ("table", (5,), 0)),
+        (spaces.Discrete(5, start=2), ("table", (5,), 2)),
+        (spaces.Box(0, 1, (2, 3)), ("vector", (6,), 0)),
+        (spaces.Box(0, 255, (40, 36, 3), np.uint8), ("image", (3, 40, 36), 1)),
+        (spaces.MultiBinary(7), ("vector", (7,), 0)),
+        (spaces.Dict({"a": spaces.Box(0, 1, (2, 3)), "b": spaces.Discrete(9)}), ("vector", (7,), 0)),
+    ],
+)
+def test_what_a_learned_map_knows_of_observations(space: Any, form: Any) -> None:
+    assert form_of(space) == form
+    features = resolve(env_with(space), "temporal-distance")
+    assert features is not None
+    assert isinstance(features.map, LearnedMap)
+    assert features[1:] == (LearnedMap.size, "temporal-distance", ())
+    assert features.map.encoder.form == form
+
+
+def test_groups_of_a_given_map_are_its_own() -> None:
+    class Grouped:
+        def __call__(self, observations: Any) -> Any:
+            return np.zeros((len(observations), 3))
+
+        def concept_groups(self) -> list[dict[str, Any]]:
+            return [{"name": "last", "features": [2]}]
+
+    features = resolve(env_with(spaces.Box(0, 1, (2,))), Grouped())
+    assert features is not None
+    assert [(group.name, group.features) for group in features.groups] == [("last", (2,))]
+
+
+@pytest.mark.parametrize(("n", "kind"), [(MAX_FEATURES, "identity"), (MAX_FEATURES + 1, None)])
+def test_the_largest_space_with_a_default(n: int, kind: str | None) -> None:
+    for space in (spaces.Box(0, 1, (n,)), spaces.Discrete(n)):
+        features = resolve(env_with(space), None)
+        name = "categorical" if kind and isinstance(space, spaces.Discrete) else kind
+        assert (features and features.kind) == name
+
+
+DIFFERENT: list[Any] = [
+    *(spaces.Discrete(4), spaces.Discrete(4, start=1), spaces.MultiDiscrete([4, 4]), spaces.MultiDiscrete([4, 5])),
+    *(spaces.Box(0, 1, (2,)), spaces.Box(0, 1, (3,)), spaces.Box(0, 2, (2,)), spaces.Box(-1, 1, (2,))),
+    *(spaces.Box(0, 1, (2,), np.float64), spaces.MultiDiscrete([4, 4], start=[1, 0]), spaces.MultiBinary(2)),
+    *(spaces.Dict({key: spaces.Discrete(n)}) for key in "ab" for n in (2, 3)),
+    spaces.Dict({"a": spaces.Dict({"b": spaces.Discrete(2)})}),
+    spaces.Dict({"a": spaces.Discrete(2), "b": spaces.Discrete(3)}),
+    spaces.Dict({"a": spaces.Discrete(3), "b": spaces.Discrete(2)}),
+    spaces.Tuple((spaces.Discrete(2), spaces.Discrete(3))),
+    spaces.Tuple((spaces.Discrete(3), spaces.Discrete(2))),
+]
+
+
+def test_signatures_differ_where_spaces_do() -> None:
+    told = [signature(space, None) for space in DIFFERENT]
+    assert told == [signature(copy.deepcopy(space), None) for space in DIFFERENT]
+    assert len({each.digest for each in told}) == len(DIFFERENT)
+    assert [each.space for each in told[:1]] == ["Discrete(4)"]
+    turned = spaces.Dict({"b": spaces.Discrete(3), "a": spaces.Discrete(2)})
+    assert signature(turned, None).digest == signature(DIFFERENT[-4], None).digest
+    assert (told[0].features, signature(DIFFERENT[0], resolve(env_with(DIFFERENT[0]), None)).features) == (
+        None,
+        "categorical",
+    )
+
+
+@pytest.mark.parametrize(("n", "cut"), [(200, False), (201, True)])
+def test_long_descriptions_are_cut(n: int, cut: bool) -> None:
+    class Named(spaces.Discrete):
+        def __repr__(self) -> str:
+            return "x" * n
+
+    assert signature(Named(2), None).space == ("x" * 200 + "…" if cut else "x" * n)

@@ -13,7 +13,7 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import make as make_minigrid
 from sb3_options.execution import layers, repeating
-from sb3_options.execution.repeating import OTHERWISE, UNKNOWN
+from sb3_options.execution.repeating import OTHERWISE, UNKNOWN, RecordActions
 from tests.support.sb3_helpers import TAXI, small_rooms
 
 Env = gym.Env[Any, Any]
@@ -160,3 +160,69 @@ def test_an_episode_that_has_just_begun_is_repeated_by_its_seed(steps: int) -> N
     assert failure is None
     assert advanced(copy, 5, np.random.default_rng(1)) == advanced(env, 5, np.random.default_rng(1))
     assert len(there) == steps
+
+
+class Asked(gym.Env[Any, Any]):
+    """Remembers how it was reset, and with what it was stepped."""
+
+    observation_space = spaces.Box(-np.inf, np.inf, (2,))
+    action_space = spaces.Box(-1, 1, (1,))
+
+    def __init__(self) -> None:
+        self.asked: list[Any] = []
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.asked.append((seed, options))
+        return {"a": np.zeros(1), "b": (1, "two")}, {"random": len(self.asked)}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.asked.append(type(action))
+        return {"a": np.zeros(1), "b": (1, "two")}, 1.0, False, False, {"random": len(self.asked)}
+
+
+def test_resets_and_actions_arrive_as_they_were_given() -> None:
+    """Infos may differ from one time to the other."""
+    env, inner = RecordActions(Asked()), Asked()
+    assert env.get_state()["why"] == UNKNOWN
+    env.reset(seed=3, options={"there": 1})
+    assert env.unwrapped.asked == [(3, {"there": 1})]  # type: ignore[attr-defined]  # of Asked
+    assert env.get_state()["why"] == "its reset was given options"
+    for first in (2, np.int64(2), np.zeros(1)):
+        env.reset(seed=0)
+        env.step(first)
+        if isinstance(first, np.ndarray):
+            first += 1  # it is the caller's, who may write to it
+            assert env.get_state()["actions"].tolist() == [[0.0]]
+        state = env.get_state()
+        assert state["numbers"] is (type(first) is int)
+        again = RecordActions(inner)
+        again.set_state(state)
+        assert again.failure() is None
+        again.step(first)
+        assert inner.asked[-2:] == [type(first), type(first)]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_any_seed_repeats_an_episode_but_only_where_it_has_just_begun(seed: int) -> None:
+    env = gym.make("CartPole-v1").unwrapped
+    env.reset(seed=seed)
+    assert RecordActions(env, just_reset=True).get_state()["began"] == {"seed": seed}
+    assert RecordActions(env).get_state()["began"] is None
+
+
+def test_every_part_of_an_observation_tells_courses_apart() -> None:
+    def digest(observation: Any, reward: float = 0.0) -> str:
+        env = RecordActions(Growing())
+        env._last, env._rewards = (observation,), reward
+        return env._there()
+
+    there = [
+        *(np.zeros(1), np.zeros(2), np.zeros(1, np.float32), np.ones(1), np.float64(0), np.float32(0), 0.0, 0),
+        *({"a": 0}, {"b": 0}, {"a": 1}, (0, 1), (1, 0), [0, 1], "a", "b", None, np.array(["a"]), np.array(["b"])),
+        *(np.array([0j]), np.array([True]), np.array([1], np.uint8), np.array([None])),
+    ]
+    digests = [digest(each) for each in there] + [digest(np.zeros(1), reward=1.0)]
+    assert len(set(digests)) == len(digests)
+    assert digests == [digest(each) for each in there] + [digest(np.zeros(1), reward=1.0)]
+    assert RecordActions(Growing())._there() == ""

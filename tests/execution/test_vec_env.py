@@ -3,7 +3,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecTransposeImage
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize, VecTransposeImage
 
 from sb3_options.execution.vec_env import as_wrapper_sees
 from tests.support.sb3_helpers import Corridor
@@ -57,3 +57,14 @@ def test_the_newest_of_stacked_frames_is_what_the_environments_saw(kind: str, ho
             places.add(corridor.place)
         seen, _, _, _ = venv.step(rng.integers(2, size=2))
     assert len(places) > 5
+
+
+@pytest.mark.parametrize("normalized", [True, False])
+def test_what_was_normalised_is_undone_where_it_is_said_so(normalized: bool) -> None:
+    venv = VecNormalize(DummyVecEnv([lambda: Corridor("box")] * 2), clip_obs=1e6)
+    venv.seed(0)
+    venv.reset()
+    for _ in range(5):
+        seen = venv.step(np.ones(2))[0]
+    expected = venv.get_original_obs() if normalized else seen
+    np.testing.assert_allclose(as_wrapper_sees(venv, seen, normalized=normalized), expected, rtol=1e-5)  # type: ignore[arg-type]  # no Dict
