@@ -221,7 +221,7 @@ class MacroQ(MaskedPrediction):
             callback.update_locals(locals())
             goes_on = callback.on_step()
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
-            since = 0 if any(over) else since + 1
+            since += 1
             if any(over) or since == LONGEST_ROLLOUT:
                 since = 0
                 self._update_info_buffer(infos, dones)

@@ -144,12 +144,7 @@ def test_wrappers_of_vec_envs(name: str, wrap: Callable[[VecEnv], VecEnv], tmp_p
 @pytest.mark.slow
 @pytest.mark.usefixtures("keep_all")
 @pytest.mark.parametrize(
-    "kwargs",
-    [
-        {"buffer_size": 300},
-        {"replay_buffer_kwargs": {"n_steps": 3}},
-    ],
-    ids=["full", "n-step"],
+    "kwargs", [{"buffer_size": 300}, {"replay_buffer_kwargs": {"n_steps": 3}}], ids=["full", "n-step"]
 )
 def test_replay_buffers(kwargs: dict[str, Any], tmp_path: Path) -> None:
     check_resumes(lambda: model_of("DQN", venv_of(), **kwargs), lambda: [discovering()], tmp_path, cuts=(0.3, 0.8))
@@ -178,10 +173,7 @@ def test_evaluations(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("keep_all")
-@pytest.mark.parametrize(
-    "make",
-    [FirstVisits, RelativeNovelty, RandomPlaces],
-)
+@pytest.mark.parametrize("make", [FirstVisits, RelativeNovelty, RandomPlaces])
 def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Path) -> None:
     """Settings with which each makes an option in these few steps."""
     soon: dict[Any, dict[str, Any]] = {

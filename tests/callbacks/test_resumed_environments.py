@@ -10,26 +10,14 @@ import pytest
 from stable_baselines3 import A2C
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import (
-    DummyVecEnv,
-    SubprocVecEnv,
-    VecEnv,
-    VecNormalize,
-    VecVideoRecorder,
-)
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize, VecVideoRecorder
 
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.environments import refusal
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.envs.minigrid import make as make_minigrid
-from tests.callbacks.test_checkpoint_resuming import (
-    check_resumes,
-    discovering,
-    keep_all,
-    model_of,
-    trained,
-)
+from tests.callbacks.test_checkpoint_resuming import check_resumes, discovering, keep_all, model_of, trained
 from tests.execution.test_repeating import Growing
 from tests.support.sb3_helpers import TAXI, make_optioned_rooms
 

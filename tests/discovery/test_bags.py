@@ -2,9 +2,11 @@ import copy
 from typing import Any
 
 import numpy as np
+import pytest
 
 from sb3_options.discovery.bags import BagMaker, FilteredBags
 from sb3_options.discovery.filters import Filters
+from sb3_options.discovery.local_cuts import MIN_CUT
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import LabelledTrajectory
 from tests.support.helpers import ball, line
@@ -68,6 +70,20 @@ def test_a_new_subgoal_changes_the_bags_near_it() -> None:
     assert places(first.positive) == [[10.0]] * 6
     assert one.make(ways, [ball(10.0)]) is None
     assert one.make(ways, []) is not None
+
+
+def test_an_instance_cuts_off_enough_and_lies_on_enough_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The share of ways that pass a place counts one way more; a cut of exactly `MIN_CUT` is enough."""
+    ways = [line([0, 10, 20, 30, 40 + i % 2, 60]) for i in range(4)]
+    one = maker(min_passing=0.8)
+    assert one.cuts is not None
+    cut_off = {10.0: MIN_CUT, 20.0: np.nextafter(MIN_CUT, 0), 30.0: 0.5}
+    monkeypatch.setattr(one.cuts, "shares", lambda states: np.array([cut_off[state] for state in states.ravel()]))
+    bags = one.make(ways, [])
+    assert bags is not None
+    assert places(bags.positive) == [[10.0, 30.0]] * 4
+    assert maker(min_passing=0.81).make(ways, []) is None
+    assert list(one._standing_out([one._known[way] for way in ways])) == ["radii", "min_passing", "cuts"]
 
 
 def test_a_copy_makes_the_same_bags() -> None:

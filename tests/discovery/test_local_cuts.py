@@ -39,9 +39,10 @@ def everywhere(world: GridWorld) -> list[list[tuple[float, ...]]]:
 
 
 def test_what_more_than_one_trajectory_visited_is_known() -> None:
-    cuts = walked(LocalCuts(), [[(0, 0), (1, 0)], [(1, 0), (2, 0)]])
+    cuts = walked(LocalCuts(), [[(0, 0), (1, 0)], [(1, 0), (2, 0)], [(2, 0), (1, 0)]])
     states = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [9.0, 9.0]])
-    assert cuts.are_known(states).tolist() == [False, True, False, False]
+    assert cuts.are_known(states).tolist() == [False, True, True, False]
+    assert walked(cuts, [[(0, 0)]]).are_known(states).tolist() == [True, True, True, False]
 
 
 def test_a_doorway_cuts_and_the_floor_does_not() -> None:
@@ -78,6 +79,7 @@ def test_states_beyond_the_most_are_unknown(monkeypatch: pytest.MonkeyPatch) -> 
     line = [(float(x), 0.0) for x in range(6)]
     cuts = walked(LocalCuts(), [line, line])
     assert shares_of(cuts, line).tolist() == [0.0, 0.5, 0.0, 0.5, 0.5, 0.5]
+    assert cuts.are_known(np.array(line)).tolist() == [True] * 3 + [False] * 3
 
 
 def test_negative_zero_is_zero() -> None:

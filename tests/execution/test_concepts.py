@@ -104,10 +104,7 @@ def test_concepts_are_copied() -> None:
 
 @pytest.mark.parametrize(
     ("source", "size", "message"),
-    [
-        (from_info, 3, "must return 3 finite numbers"),
-        (lambda *_: [0.0, np.nan], 2, "must return 2 finite numbers"),
-    ],
+    [(from_info, 3, "must return 3 finite numbers"), (lambda *_: [0.0, np.nan], 2, "must return 2 finite numbers")],
 )
 def test_refuses_other_features(source: Any, size: int, message: str) -> None:
     with pytest.raises(ValueError, match=message):

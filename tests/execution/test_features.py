@@ -1,4 +1,5 @@
 import copy
+import hashlib
 from typing import Any
 
 import gymnasium as gym
@@ -128,6 +129,23 @@ def test_observations_that_stable_baselines3_does_not_take_are_named(space: spac
         OptionsWrapper(env_with(space), feature_map=lambda observations: np.zeros((1, 1)))
 
 
+@pytest.mark.parametrize(
+    ("space", "parts"),
+    [
+        (spaces.Box(0.0, 1.0, (2,)), [b" Box (2,) float32", np.array([0, 0, 1, 1], np.float32).tobytes()]),
+        (spaces.Discrete(3, start=1), [b" Discrete(3, start=1)"]),
+        (spaces.MultiDiscrete([3, 4]), [b" MultiDiscrete int64 [3, 4] [0, 0]"]),
+        (
+            spaces.Dict(b=spaces.MultiBinary(3), a=spaces.Tuple((spaces.Discrete(2), spaces.Discrete(5)))),
+            [b" Dict ['a', 'b']", b".a Tuple 2", b".a.0 Discrete(2)", b".a.1 Discrete(5)", b".b MultiBinary(3)"],
+        ),
+    ],
+)
+def test_the_digest_of_a_space_stays_what_it_is_in_saved_files(space: Any, parts: list[bytes]) -> None:
+    digest = hashlib.sha256(b"".join(part + b"\n" for part in parts)).hexdigest()
+    assert signature(space, None) == (" ".join(str(space).split()), digest, None)
+
+
 class _Grouped(gym.Wrapper[Any, Any, Any, Any]):
     """Names features, and which of them belong together."""
 
@@ -146,6 +164,17 @@ def test_groups_come_from_whoever_has_the_feature_map() -> None:
     assert OptionsWrapper(above).traits.feature_groups == ()
     assert OptionsWrapper(env, feature_map=lambda obs: np.zeros((len(obs), 1))).traits.feature_groups == ()
     assert OptionsWrapper(gym.make("sb3_options/TwoRooms-v0")).traits.feature_groups == ()
+
+    class Refusing(_Grouped):
+        def concept_features(self, observations: Any) -> Any:
+            if observations.any():
+                raise ValueError("made up")
+            return super().concept_features(observations)
+
+    late = OptionsWrapper(Refusing(CountingEnv()))  # it cannot be asked yet how many features there are
+    assert (late.bank.feature_size, [g.features for g in late.traits.feature_groups]) == (None, [(2,)])
+    late.reset()
+    assert late.bank.feature_size == 3
 
 
 def test_groups_that_do_not_fit_the_feature_map_are_refused() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from sb3_options.execution import ray_vec_env
 from sb3_options.execution.ray_vec_env import HostedEnvironments, RayVecEnv
+from sb3_options.execution.workers import PATIENCE
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import Corridor, make_optioned_rooms
 
@@ -44,7 +45,21 @@ class Ray:
         make = SimpleNamespace(remote=lambda env_fns: Actor(self, cls(env_fns)))
         return SimpleNamespace(options=lambda **_: make)
 
+    n_cores: float | None = 2.0
+
+    def __init__(self) -> None:
+        self.timeouts: list[float | None] = []
+        self.waited: list[Any] = []
+        self.is_initialized = lambda: True
+
+    def cluster_resources(self) -> dict[str, float]:
+        return {"GPU": 7.0} | ({} if self.n_cores is None else {"CPU": self.n_cores})
+
+    def wait(self, references: Any, num_returns: int, timeout: float) -> None:
+        self.waited.append(([reference() for reference in references], num_returns, timeout))
+
     def get(self, reference: Any, timeout: float | None) -> Any:
+        self.timeouts.append(timeout)
         return reference()
 
     def kill(self, actor: Actor) -> None:
@@ -103,3 +118,65 @@ def test_an_environment_without_options_is_lost(ray: Ray) -> None:
     assert (rewards.tolist(), dones.tolist()) == ([0.0], [True])
     assert infos[0].pop("terminal_observation").tolist() == seen[0].tolist()
     assert infos[0] == {"TimeLimit.truncated": True, "lost": True}
+
+
+@pytest.mark.parametrize(
+    ("n_envs", "n_actors", "n_cores", "groups"),
+    [
+        (5, None, 2.0, [[0, 1, 2], [3, 4]]),
+        (2, None, 8.0, [[0], [1]]),
+        (2, None, 0.5, [[0, 1]]),
+        (2, None, None, [[0, 1]]),
+        (3, 2, 8.0, [[0, 1], [2]]),
+        (2, 9, 1.0, [[0], [1]]),
+    ],
+)
+def test_environments_are_shared_out_among_actors(
+    ray: Ray, n_envs: int, n_actors: int | None, n_cores: float | None, groups: list[list[int]]
+) -> None:
+    ray.n_cores = n_cores
+    venv = RayVecEnv([CountingEnv] * n_envs, n_actors)
+    assert venv._groups == groups
+    assert len(venv._actors) == len(venv._outboxes) == len(groups)
+    assert (venv.waiting, venv.closed, venv.processes, venv.lost_actors) == (False, False, [], 0)
+    env = CountingEnv()
+    assert (venv.num_envs, venv.observation_space, venv.action_space) == (
+        n_envs, env.observation_space, env.action_space,
+    )  # fmt: skip
+    first, later = ray.timeouts[: len(groups)], ray.timeouts[len(groups) :]
+    assert (venv.step_timeout, set(first)) == (600.0, {None})  # to make them may take as long as it takes
+    assert later == pytest.approx([600.0] * len(later), abs=5.0)
+    assert later
+
+
+def test_seeds_after_losses_are_new_and_repeat(ray: Ray) -> None:
+    """And where a lost environment is reset, no step tells of the loss."""
+    venv = RayVecEnv([Corridor] * 2, 1, step_timeout=None)
+    venv.seed(3)
+    venv.reset()
+    ray.kill(venv._actors[0])
+    venv.get_attr("spec")
+    venv.reset()
+    assert (venv.lost_actors, venv._first_seeds) == (1, [3, 4])  # a reset without a seed keeps those of the first
+    assert not any("lost" in info for info in venv.step(np.zeros(2, dtype=np.int64))[3])
+    later = [int(np.random.SeedSequence([first, 1]).generate_state(1)[0]) for first in (3, 4)]
+    assert [venv._later_seed(i) for i in range(2)] == later
+    venv.seed(8)
+    venv.reset()
+    assert venv._first_seeds == [8, 9]
+    assert RayVecEnv([Corridor], 1, step_timeout=None)._later_seed(0) is None
+    assert set(ray.timeouts) == {None}
+
+
+@pytest.mark.parametrize("running", [True, False])
+def test_environments_are_closed_and_their_actors_ended_once(ray: Ray, running: bool) -> None:
+    venv = RayVecEnv([CountingEnv] * 3, 2)
+    actors = list(venv._actors)
+    for actor in actors:
+        actor.close = SimpleNamespace(remote=lambda: lambda: "closed")
+    ray.is_initialized = lambda: running
+    venv.close()
+    venv.close()
+    assert [actor.lost for actor in actors] == [running] * 2
+    assert ray.waited == ([(["closed"] * 2, 2, PATIENCE)] if running else [])
+    assert venv.closed is True

@@ -79,7 +79,7 @@ def test_is_put_around_the_outermost_that_does_not_tell() -> None:
         assert chain(env)[:4] == ["OptionsWrapper", "Monitor", "RecordActions", "Own"]
     assert chain(layers.prepare(Own(small_rooms())))[:2] == ["RecordActions", "Own"]
     assert chain(layers.prepare(gym.make("CartPole-v1"))) == [
-        *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "RecordActions", "CartPoleEnv"),
+        *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "RecordActions", "CartPoleEnv")
     ]
     assert "RecordActions" not in chain(layers.prepare(OptionsWrapper(small_rooms(), 2)))
     with pytest.raises(

@@ -14,6 +14,7 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
 from sb3_options.density.regions import Region
 from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.execution.slots import SlotState, Traits
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import CountingEnv, ball, equal, steady_option, table_option
@@ -56,6 +57,13 @@ def test_without_options_it_is_the_environment_itself_bit_for_bit(env_id: str, k
             assert all(equal(a, b) for a, b in zip(bare.reset(seed=seed), wrapped.reset(seed=seed), strict=True))
     assert episodes > 0
     assert random_state(bare) == random_state(wrapped)
+
+
+def test_defaults() -> None:
+    env = OptionsWrapper(CountingEnv(3))
+    assert env.traits == Traits(3, 4, 0.99, None, False, env.env.observation_space, "identity", (), 1)
+    assert (env.outermost, env.slot_state, env.running_option()) == (env, SlotState(), "primitive action")
+    assert (env.action_space, env.check_finite) == (spaces.Discrete(7), False)
 
 
 def test_no_slots_at_all() -> None:

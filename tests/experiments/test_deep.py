@@ -9,10 +9,7 @@ import pytest
 from experiments.deep import __main__ as deep
 from experiments.deep import tasks, tune
 from experiments.deep.settings import DeepSettings
-from experiments.deep.summary import (
-    steps_to_success,
-    summarise,
-)
+from experiments.deep.summary import steps_to_success, summarise
 
 
 def result(steps: list[int], success: list[float], length: float = 20.0, **kwargs: Any) -> dict[str, Any]:

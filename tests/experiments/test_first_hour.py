@@ -4,10 +4,7 @@ import json
 from pathlib import Path
 
 from experiments.first_hour import __main__ as first_hour
-from experiments.first_hour.conditions import (
-    COMPETENT_EPISODES,
-    competent_after,
-)
+from experiments.first_hour.conditions import COMPETENT_EPISODES, competent_after
 from sb3_options.experience.trajectories import EpisodeRecord
 
 

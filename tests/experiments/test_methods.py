@@ -10,15 +10,9 @@ import pytest
 from experiments.common.gridworlds import rooms_of
 from experiments.methods import conditions, tune
 from experiments.methods.__main__ import Study, main
-from experiments.methods.entrants import (
-    NONE,
-)
+from experiments.methods.entrants import NONE
 from experiments.methods.summary import summarise
-from experiments.methods.tasks import (
-    TASKS,
-    step_limit,
-    task_for,
-)
+from experiments.methods.tasks import TASKS, step_limit, task_for
 from sb3_options.envs import GridWorld
 
 SHORT = 2000

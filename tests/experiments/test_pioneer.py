@@ -17,14 +17,7 @@ from experiments.pioneer.settings import MAIN_TASK, TASKS, PioneerSettings
 from sb3_options.options import creation
 from sb3_options.runs.config import configure
 
-TINY = PioneerSettings(
-    trials=5,
-    transfer_trials=1,
-    evaluation_trials=1,
-    step_limit=300,
-    min_positive=2,
-    threshold=0.05,
-)
+TINY = PioneerSettings(trials=5, transfer_trials=1, evaluation_trials=1, step_limit=300, min_positive=2, threshold=0.05)
 
 
 @pytest.fixture(autouse=True)

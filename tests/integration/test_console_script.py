@@ -77,10 +77,7 @@ def test_a_missing_extra_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [
-        (["compare", "nowhere"], "nowhere has no TensorBoard file"),
-        (["options", "nowhere"], "nowhere"),
-    ],
+    [(["compare", "nowhere"], "nowhere has no TensorBoard file"), (["options", "nowhere"], "nowhere")],
 )
 def test_what_cannot_be_shown_is_said_in_one_line(
     words: list[str], said: str, capsys: pytest.CaptureFixture[str]

@@ -108,10 +108,7 @@ class KillNode(BaseCallback):
 
 
 def test_a_machine_is_lost_in_mid_training(
-    nodes: TwoNodes,
-    ray_envs: list[RayVecEnv],
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
+    nodes: TwoNodes, ray_envs: list[RayVecEnv], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.clear()
     second = nodes.add_second()

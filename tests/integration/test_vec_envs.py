@@ -24,13 +24,7 @@ from stable_baselines3.common.vec_env import (
 from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.options.option import SubgoalOption
-from tests.support.sb3_helpers import (
-    RANDOM,
-    TINY,
-    fast_callback,
-    optioned_rooms,
-    small_rooms,
-)
+from tests.support.sb3_helpers import RANDOM, TINY, fast_callback, optioned_rooms, small_rooms
 
 SLOT_0 = 4
 PPO_TINY: dict[str, Any] = {

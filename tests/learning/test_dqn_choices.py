@@ -1,5 +1,6 @@
 """What OptionDQN chooses among, which masks it asks for, and what it needs."""
 
+import math
 from collections import Counter
 from pathlib import Path
 from typing import Any, cast
@@ -264,9 +265,7 @@ def test_a_stock_model_goes_on_and_its_epsilon_with_it(tmp_path: Path) -> None:
     model.learn(50, reset_num_timesteps=False)
     assert model.num_timesteps == 100
     assert model.exploration_rate == pytest.approx(0.05)
-    env = cast("Any", env_of(model)).envs[0]
-    env.get_wrapper_attr("set_option")(0, steady_option())
-    model.learn(50, reset_num_timesteps=False)
-    assert model._options_since == model._n_calls - 50
-    model.learn(5, reset_num_timesteps=True)
-    assert model._options_since == model._n_calls - 5
+    model._options_since = 7
+    for reset, expected in ((False, 7), (True, math.inf)):
+        model.learn(5, reset_num_timesteps=reset)
+        assert model._options_since == expected

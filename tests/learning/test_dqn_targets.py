@@ -93,9 +93,7 @@ def test_quantile_targets_are_exact(seed: int, macro_q: bool, monkeypatch: pytes
     assert {round(r.discount, 6) for r in rows if r.action >= N_PRIMITIVE} >= {0.9, 0.81}
 
 
-def test_targets_stay_exact_for_transitions_stored_before_an_option_was_there(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_targets_stay_exact_for_transitions_stored_before_an_option_was_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """An option that moves in while the agent trains counts in the targets of everything lived through already."""
     model = OptionDQN("MlpPolicy", optioned_rooms(2), gamma=GAMMA, **TINY | RANDOM)
     callback = SubgoalDiscoveryCallback({"min_positive": 3, "goal_radius": 3.0, "decay": 0.5}, max_new_options=1)

@@ -2,14 +2,18 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from inspect import signature
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 import pytest
+import torch
 from gymnasium import spaces
+from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -20,10 +24,7 @@ from sb3_options.envs import GridWorld
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.macro_q import LONGEST_ROLLOUT, LinearPolicy, OneHot
 from tests.support.helpers import CountingEnv, steady_option, table_option
-from tests.support.sb3_helpers import (
-    optioned_rooms,
-    small_rooms,
-)
+from tests.support.sb3_helpers import optioned_rooms, small_rooms
 
 ALPHA, GAMMA = 0.5, 0.9
 
@@ -57,11 +58,9 @@ class Recorder(BaseCallback):
     def __init__(self) -> None:
         super().__init__()
         self.tables: list[npt.NDArray[np.float64]] = []
-        self.lengths: list[int] = []
 
     def _on_step(self) -> bool:
         self.tables.append(table_of(self.model).copy())
-        self.lengths += [info["episode"]["l"] for info in self.locals["infos"] if "episode" in info]
         return True
 
 
@@ -96,20 +95,26 @@ def test_one_step_of_q_learning(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tables[1][1].tolist() == pytest.approx([1.5, 1.1])
 
 
-@pytest.mark.parametrize("ended", [True, False])
-def test_an_option_that_does_not_say_what_may_start_teaches_primitives_alone(ended: bool) -> None:
-    """Of an environment that reports options of its own."""
-    model = MacroQ(Script(), learning_rate=ALPHA, gamma=GAMMA, seed=0)
-    model.learn(0)
+@pytest.mark.parametrize(
+    ("ended", "available", "best"), [(True, None, 0.0), (False, None, 3.1), (False, [0, 0, 1], 3.3)]
+)
+def test_what_was_reported_of_an_option_is_what_it_teaches(ended: bool, available: Any, best: float) -> None:
+    """An environment that reports options of its own need not say what may start."""
+    model = MacroQ(optioned([True] * 6, duration=3), learning_rate=ALPHA, gamma=GAMMA, seed=0).learn(0)
     table = table_of(model)
-    table[:] = np.arange(6)[:, None] + np.arange(2) / 10
-    run = OptionRun(0, 2, GAMMA**2, GAMMA, "subgoal", np.array([0, 1]), np.array([1, 1]), np.array([1.0, 2.0]))
-    model._learn_from([0], 0, 1 + GAMMA * 2, [2], ended, run)
-    follows = 0.0 if ended else 2.1
-    assert table[0].tolist() == pytest.approx(
-        [(1 + GAMMA * 2 + GAMMA**2 * follows) / 2, (0.1 + 1 + GAMMA * 1.1) / 2], rel=1e-14
-    )
-    assert table[1].tolist() == pytest.approx([1.0, (1.1 + 2 + GAMMA * follows) / 2], rel=1e-14)
+    table[:] = np.arange(6)[:, None] + np.arange(4) / 10
+    may_start = None if available is None else np.array([[0, each] for each in available], dtype=bool)
+    places, actions, rewards = np.arange(3), np.ones(3, dtype=np.int64), np.array([1.0, 2.0, 3.0])
+    run = OptionRun(1, 3, GAMMA**3, GAMMA, "subgoal", places, actions, rewards, may_start)
+    model._learn_from([0], 3, 1 + GAMMA * 2 + GAMMA**2 * 3, [3], ended, run)
+    inside = [(1 + GAMMA * 1.1 + 0.1) / 2, (2 + GAMMA * 2.1 + 1.1) / 2, (3 + GAMMA * best + 2.1) / 2]
+    assert table[:3, 1].tolist() == pytest.approx(inside, rel=1e-14)
+    assert table[0, 3] == pytest.approx((1 + GAMMA * 2 + GAMMA**2 * 3 + GAMMA**3 * best + 0.3) / 2, rel=1e-14)
+    before = table.copy()
+    instead = OptionRun(-1, 1, GAMMA, GAMMA, "primitive", actions=np.array([1]))  # of the first slot, which is empty
+    model._learn_from([5], 2, 1.0, [5], True, instead)
+    before[5, 1] = (5.1 + 1) / 2
+    assert table.tolist() == before.tolist()
 
 
 def test_a_time_limit_is_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,6 +237,8 @@ def test_q_learning_converges_to_the_policy_of_value_iteration(features: TileCod
         action = int(model.predict(observation, deterministic=True)[0])
         row = best[5 * y + x]
         assert row[action] == row.max()
+    some = np.array([[0.0, 0.0], [4.0, 3.0]]) if features else np.eye(20)[[0, 19]]
+    assert [model._values(active) for active in model._active(some)] == model.policy.values(some).tolist()
     if features is None:
         acted = [5 * y + x for x, y in world.start_cells]
         assert table_of(model)[acted] == pytest.approx(best[acted], abs=1e-3)
@@ -269,23 +276,24 @@ def test_predict_respects_initiation_sets_and_epsilon() -> None:
     assert set(drawn.tolist()) == {0, 1}
 
 
-def test_arguments_are_kept_and_have_defaults(tmp_path: Path) -> None:
-    def arguments_of(model: MacroQ) -> list[Any]:
-        names = ("learning_rate", "gamma", "epsilon", "tensorboard_log", "verbose", "seed", "features")
-        assert (str(model.device), model.policy_class) == ("cpu", LinearPolicy)
-        return [getattr(model, name) for name in names]
+def test_arguments_are_kept_and_have_defaults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)  # it is not asked
 
-    *values, features = arguments_of(MacroQ(Script(), device="meta"))
-    assert values == [0.05, 0.9, 0.1, None, 0, None]
-    assert (features.n_features, features.n_active, features.coded) == (6, 1, False)
-    given: list[Any] = [1e-3, 1.0, 0.0, str(tmp_path), 2, 7, OneHot(9, coded=False)]
-    learning_rate, gamma, epsilon, log, verbose, seed, of_its_own = given
-    model = MacroQ(
-        DummyVecEnv([Script] * 3), features=of_its_own, learning_rate=learning_rate, gamma=gamma, epsilon=epsilon,
-        tensorboard_log=log, verbose=verbose, seed=seed,
-    )  # fmt: skip
-    assert arguments_of(model) == given
-    assert (model.n_envs, table_of(model).shape, model.policy.features) == (3, (9, 2), of_its_own)
+    defaults = {
+        "learning_rate": 0.05,
+        "gamma": 0.9,
+        "epsilon": 0.1,
+        "tensorboard_log": None,
+        "verbose": 0,
+        "seed": None,
+    }
+    given: dict[str, Any] = {"learning_rate": 1e-3, "gamma": 1.0, "epsilon": 0.0, "tensorboard_log": str(tmp_path)}
+    given |= {"verbose": 2, "seed": 7, "features": OneHot(9, coded=False)}
+    of_defaults, of_given = MacroQ(Script(), device="meta"), MacroQ(DummyVecEnv([Script] * 3), **given)
+    for model, expected in ((of_defaults, defaults), (of_given, given)):
+        assert {name: getattr(model, name) for name in expected} == expected
+        assert (str(model.device), model.policy_class, model.policy.features) == ("cpu", LinearPolicy, model.features)
+    assert (of_given.n_envs, table_of(of_given).shape, table_of(of_defaults).shape) == (3, (9, 2), (6, 2))
     assert MacroQ(None, _init_setup_model=False).env is None
     MacroQ(Script(), gamma=0.0, epsilon=1.0)
 
@@ -310,19 +318,6 @@ def test_another_environment_is_reset_unless_told_otherwise_and_its_slots_count(
     assert env.slot_state.report_availability
 
 
-class Entries(KVWriter):
-    """Keeps what is logged."""
-
-    def __init__(self) -> None:
-        self.written: list[tuple[int, dict[str, Any], dict[str, Any]]] = []
-
-    def write(self, key_values: dict[str, Any], key_excluded: dict[str, Any], step: int = 0) -> None:
-        self.written.append((step, dict(key_values), dict(key_excluded)))
-
-    def close(self) -> None:
-        pass
-
-
 @pytest.mark.parametrize("tells", [True, False])
 def test_the_log_has_the_names_of_sb3(tells: bool) -> None:
     class Told(Script):
@@ -330,9 +325,11 @@ def test_the_log_has_the_names_of_sb3(tells: bool) -> None:
             *step, _ = super().step(action)
             return (*step, {"is_success": self.state == 2} if tells else {})  # type: ignore[return-value]  # a star
 
-    entries = Entries()
+    written: list[tuple[int, dict[str, Any], dict[str, Any]]] = []
+    writer = MagicMock(spec=KVWriter)
+    writer.write.side_effect = lambda values, excluded, step: written.append((step, {**values}, {**excluded}))
     model = MacroQ(Told(terminate_at=2), seed=0)
-    model.set_logger(Logger(None, [entries]))
+    model.set_logger(Logger(None, [writer]))
     model.learn(8, log_interval=2)
     expected = {"rollout/ep_rew_mean": 3.0, "rollout/ep_len_mean": 2.0} | (
         {"rollout/success_rate": 1.0} if tells else {}
@@ -340,15 +337,22 @@ def test_the_log_has_the_names_of_sb3(tells: bool) -> None:
     expected |= {"time/episodes": 2, "time/total_timesteps": 4}
     excluded = {name: ("tensorboard",) if name.startswith("time/") else ("",) for name in expected}
     later = expected | {"time/episodes": 4, "time/total_timesteps": 8}
-    assert entries.written == [(4, expected, excluded), (8, later, excluded)]
+    assert written == [(4, expected, excluded), (8, later, excluded)]
     model.learn(8, log_interval=None)
-    assert len(entries.written) == 2
+    assert len(written) == 2
 
 
-@pytest.mark.parametrize("name", ["gamma", "epsilon", "learning_rate"])
-def test_refuses_values_out_of_range(name: str) -> None:
+def test_arguments_of_learn_are_those_of_sb3() -> None:
+    ours, theirs = ({p.name: p.default for p in signature(cls.learn).parameters.values()} for cls in (MacroQ, DQN))
+    assert ours == {**theirs, "log_interval": 100, "tb_log_name": "MacroQ"}
+
+
+@pytest.mark.parametrize(
+    "value", [{"gamma": -0.1}, {"gamma": 1.1}, {"epsilon": -0.1}, {"epsilon": 1.1}, {"learning_rate": 0.0}]
+)
+def test_refuses_values_out_of_range(value: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"gamma and epsilon must be in \[0, 1\] and learning_rate positive, got"):
-        MacroQ(Script(), **{name: -0.1})  # type: ignore[arg-type]  # mypy does not know which argument it is
+        MacroQ(Script(), **value)
 
 
 def test_refuses_what_it_cannot_learn() -> None:
@@ -360,7 +364,7 @@ def test_refuses_what_it_cannot_learn() -> None:
         MacroQ(env)
 
 
-class Ring(gym.Env[int, int]):
+class Ring(Script):
     """A task without episodes, in which the last action is forbidden."""
 
     def __init__(self) -> None:
@@ -368,15 +372,10 @@ class Ring(gym.Env[int, int]):
         self.action_space: Any = gym.spaces.Discrete(3)
         self.taken: Counter[int] = Counter()
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[int, dict[str, Any]]:
-        super().reset(seed=seed)
-        self.place = 0
-        return self.place, {}
-
     def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
         self.taken[int(action)] += 1
-        self.place = (self.place + (1 if action else -1)) % 12
-        return self.place, float(self.place == 0), False, False, {}
+        self.state = (self.state + (1 if action else -1)) % 12
+        return self.state, float(self.state == 0), False, False, {}
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         return np.array([True, True, False])

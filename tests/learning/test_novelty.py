@@ -8,13 +8,7 @@ import torch
 from gymnasium import spaces
 
 from sb3_options.experience.observations import flatten
-from sb3_options.learning.novelty import (
-    RandomNetworkDistillation,
-    ReturnScale,
-    StateCounts,
-    bin_widths,
-    is_table_like,
-)
+from sb3_options.learning.novelty import RandomNetworkDistillation, ReturnScale, StateCounts, bin_widths, is_table_like
 
 
 def test_one_over_the_root_of_visits() -> None:

@@ -231,11 +231,7 @@ def test_dict_observations() -> None:
 
 @pytest.mark.parametrize(
     ("algorithm", "expected"),
-    [
-        (MaskablePPO, MaskableRolloutBuffer),
-        (RecurrentPPO, RecurrentRolloutBuffer),
-        (TRPO, RolloutBuffer),
-    ],
+    [(MaskablePPO, MaskableRolloutBuffer), (RecurrentPPO, RecurrentRolloutBuffer), (TRPO, RolloutBuffer)],
 )
 def test_contrib_algorithms_get_a_buffer_derived_from_their_own(algorithm: Any, expected: type) -> None:
     model = make(algorithm, DummyVecEnv([lambda: optioned_corridor(20)]))

@@ -1,5 +1,6 @@
 """Banks of options with tables and networks drawn at random."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray, Observations, flatten
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.option import SubgoalOption
+from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 
 N_PRIMITIVE, SIZE, CAPACITY = 4, 3, 5
@@ -39,7 +40,8 @@ def network(seed: int = 1) -> SubgoalOption:
         [rng.normal(size=8), rng.normal(size=N_PRIMITIVE)],
     )
     option = table(seed)
-    return SubgoalOption(option.subgoal, option.initiation_set, policy, max_duration=3, name="network: π ≠ β")
+    half_space = dataclasses.replace(option.subgoal, normal=rng.normal(size=2))
+    return SubgoalOption(half_space, option.initiation_set, policy, max_duration=3, name="network: π ≠ β")
 
 
 def empty_bank(**changes: Any) -> OptionBank:
@@ -55,19 +57,13 @@ def filled_bank() -> OptionBank:
 
 
 def behaviour(bank: OptionBank, observations: FloatArray) -> list[Any]:
-    """I, π, β and the rest of every option."""
-    return [
-        None
-        if option is None
-        else (
-            option.name,
-            option.max_duration,
-            option.initiation(observations).tolist(),
-            option.policy(observations).tolist(),
-            option.termination(observations).tolist(),
-        )
-        for option in bank.slots
-    ]
+    """The rest, I, π and β of every option."""
+
+    def of(option: Option) -> Any:
+        functions = (option.initiation, option.policy, option.termination)
+        return option.name, option.max_duration, *(each(observations).tolist() for each in functions)
+
+    return [None if option is None else of(option) for option in bank.slots]
 
 
 OBSERVATIONS = np.random.default_rng(7).normal(size=(1000, SIZE))

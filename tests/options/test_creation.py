@@ -9,11 +9,7 @@ from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options import creation
-from sb3_options.options.creation import (
-    OptionGrowth,
-    joined,
-    learn_option,
-)
+from sb3_options.options.creation import OptionGrowth, joined, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings

@@ -51,6 +51,9 @@ class TestNetwork:
         expected = hidden.argmax(dim=1).numpy()
         assert len(np.unique(expected)) > 1
         np.testing.assert_array_equal(policy.actions(x), expected)
+        policy.biases.pop(1)
+        with pytest.raises(ValueError, match="shorter than"):  # a layer without a bias
+            policy.actions(x)
 
 
 @pytest.mark.parametrize("kind", ["table", "network", "linear"])

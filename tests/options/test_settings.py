@@ -13,11 +13,7 @@ COUNTS = ("initiation_steps", "max_duration", "sweeps")
     ("names", "values", "message"),
     [
         (COUNTS, (0, -1), "greater than or equal to 1"),
-        (
-            ("initiation_steps", "max_duration", "sweeps"),
-            (1.5, math.nan),
-            "a valid integer|a finite",
-        ),
+        (("initiation_steps", "max_duration", "sweeps"), (1.5, math.nan), "a valid integer|a finite"),
         (("initiation_radius",), (-0.1, math.nan), "greater than or equal to 0"),
         (("gamma",), (0.0, -1.0), "greater than 0"),
         (("gamma",), (1.01, math.nan), "less than or equal to 1|greater than 0"),

@@ -145,8 +145,7 @@ def test_the_algorithm_comes_first_in_any_case(args: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "words",
-    [["--method", "first-visits"], ["--method=first-visits"], ["--discovery.method", "first-visits"]],
+    "words", [["--method", "first-visits"], ["--method=first-visits"], ["--discovery.method", "first-visits"]]
 )
 def test_the_method_of_discovery(words: list[str], tmp_path: Path) -> None:
     expected = parse(words)

@@ -49,11 +49,6 @@ class TwoNodes:
         """The process of the second node."""
         return int(self.second.all_processes["raylet"][0].process.pid)
 
-    @property
-    def head_raylet(self) -> int:
-        """That of the head."""
-        return int(self.cluster.head_node.all_processes["raylet"][0].process.pid)
-
     def workers(self) -> list[int]:
         """Processes that the raylet of the second node has started; they outlive it for a while."""
         return [int(pid) for pid in Path(f"/proc/{self.raylet}/task/{self.raylet}/children").read_text().split()]

@@ -98,18 +98,12 @@ class DictEnv(gym.Env[dict[str, Any], int]):
     def __init__(self) -> None:
         self.action_space: Any = spaces.Discrete(2)
         self.observation_space: Any = spaces.Dict(
-            {
-                "place": spaces.Box(0.0, float(self.LAST), (1,), np.float32),
-                "colour": spaces.Box(0, 255, (3,), np.uint8),
-            }
+            {"place": spaces.Box(0.0, float(self.LAST), (1,), np.float32), "colour": spaces.Box(0, 255, (3,), np.uint8)}
         )
         self.place = 0
 
     def _observation(self) -> dict[str, Any]:
-        return {
-            "place": np.array([self.place], dtype=np.float32),
-            "colour": np.full(3, self.place, dtype=np.uint8),
-        }
+        return {"place": np.array([self.place], dtype=np.float32), "colour": np.full(3, self.place, dtype=np.uint8)}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)

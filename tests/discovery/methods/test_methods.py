@@ -132,6 +132,16 @@ class TestRules:
         assert method._points.ravel().tolist() == [0.0, 1.0, 2.0]
         assert method._counts.tolist() == [[2, 2, 1], [1, 1, 1], [1, 1, 1]]
 
+    def test_equals_are_proposed_in_the_order_in_which_they_were_seen(self) -> None:
+        class Given(RelativeNovelty):
+            def _accepted(self, seen: FloatArray, hits: FloatArray) -> FloatArray:
+                return np.where(seen > 1, 0.5, 0.25) * (hits > 0)
+
+        places = np.arange(100)
+        lived, seen = experience(places), 1 + places % 2
+        proposed = [r.points[0, 0] for r in Given()._counted(lived, seen, (places != 7).astype(np.int64))]
+        assert proposed == [*(p for p in range(1, 100, 2) if p != 7), *range(0, 100, 2)]
+
 
 @pytest.mark.parametrize("name", METHODS)
 def test_every_method_proposes_regions_around_what_was_seen(name: MethodName, rng: np.random.Generator) -> None:

@@ -50,11 +50,7 @@ def test_truncates_by_itself() -> None:
     env = GridWorld("S.G", success_probability=1, max_steps=3)
     for _ in range(2):
         env.reset()
-        assert [env.step(Direction.LEFT)[2:4] for _ in range(3)] == [
-            (False, False),
-            (False, False),
-            (False, True),
-        ]
+        assert [env.step(Direction.LEFT)[2:4] for _ in range(3)] == [(False, False), (False, False), (False, True)]
 
 
 def test_goal_on_the_last_step_is_success_not_truncation() -> None:

@@ -42,12 +42,7 @@ def test_key_is_seen_and_is_lost_with_the_episode(kind: Kind) -> None:
     observations += [env.step(action)[0] for action in (Direction.LEFT, Direction.RIGHT)]
     observations += [env.reset()[0]]
     features = env.concept_features(np.stack(observations))
-    assert features.tolist() == [
-        [1, 0, 0],
-        [0, 0, KEY_FEATURE_SCALE],
-        [1, 0, KEY_FEATURE_SCALE],
-        [1, 0, 0],
-    ]
+    assert features.tolist() == [[1, 0, 0], [0, 0, KEY_FEATURE_SCALE], [1, 0, KEY_FEATURE_SCALE], [1, 0, 0]]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int64, np.float32, np.float64])

@@ -57,16 +57,8 @@ def test_ids_make_their_maps(env_id: str, goal: Cell, max_steps: int) -> None:
         ({"success_probability": "0.9"}, TypeError, r"success_probability must be a number, got '0\.9'"),
         ({"goal_reward": float("inf")}, ValueError, r"goal_reward must be finite, got inf"),
         ({"max_steps": 0}, ValueError, r"max_steps must be at least 1, got 0"),
-        (
-            {"observation": "rgb"},
-            ValueError,
-            r"observation must be one of 'onehot', 'xy', 'image', got 'rgb'",
-        ),
-        (
-            {"render_mode": "depth"},
-            ValueError,
-            r"render_mode must be one of 'human', 'rgb_array', got 'depth'",
-        ),
+        ({"observation": "rgb"}, ValueError, r"observation must be one of 'onehot', 'xy', 'image', got 'rgb'"),
+        ({"render_mode": "depth"}, ValueError, r"render_mode must be one of 'human', 'rgb_array', got 'depth'"),
     ],
 )
 def test_bad_arguments(kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
@@ -77,16 +69,8 @@ def test_bad_arguments(kwargs: dict[str, Any], error: type[Exception], message: 
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        (
-            {"strat": (0, 0)},
-            ValueError,
-            r"options has the unknown key 'strat': only 'start' is understood",
-        ),
-        (
-            {"start": None},
-            TypeError,
-            r"options\['start'\] must be a cell \(x, y\) of two integers, got None",
-        ),
+        ({"strat": (0, 0)}, ValueError, r"options has the unknown key 'strat': only 'start' is understood"),
+        ({"start": None}, TypeError, r"options\['start'\] must be a cell \(x, y\) of two integers, got None"),
     ],
 )
 def test_bad_reset_options(options: dict[str, Any], error: type[Exception], message: str) -> None:
@@ -94,14 +78,7 @@ def test_bad_reset_options(options: dict[str, Any], error: type[Exception], mess
         GridWorld().reset(options=options)
 
 
-@pytest.mark.parametrize(
-    "action",
-    [
-        -1,
-        4,
-        1.0,
-    ],
-)
+@pytest.mark.parametrize("action", [-1, 4, 1.0])
 def test_bad_actions(action: Any) -> None:
     env = GridWorld()
     env.reset()
@@ -133,11 +110,6 @@ def test_rgb_array(map: str) -> None:
         return tuple(int(channel) for channel in picture[y, x])
 
     wall_y, wall_x = np.argwhere(env.walls)[0]
-    colours = [
-        centre(start),
-        centre(env.goal),
-        centre((int(wall_x), int(wall_y))),
-        centre(env.start_cells[1]),
-    ]
+    colours = [centre(start), centre(env.goal), centre((int(wall_x), int(wall_y))), centre(env.start_cells[1])]
     assert colours[:2] == [AGENT, GOAL]
     assert len(set(colours)) == 4

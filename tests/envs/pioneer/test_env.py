@@ -69,13 +69,7 @@ def test_rewards_from_start_to_success(env: PioneerTask) -> None:
     observation, reward, terminated, truncated, info = env.step(MIDDLE)
     assert (terminated, truncated) == (True, False)
     assert reward == pytest.approx(9.9)
-    assert info == {
-        "is_success": True,
-        "deposited": True,
-        "gripping": False,
-        "touched_wall": False,
-        "cause": "wall",
-    }
+    assert info == {"is_success": True, "deposited": True, "gripping": False, "touched_wall": False, "cause": "wall"}
     assert observation[GRIPPING] == 0
 
 
@@ -144,10 +138,7 @@ def test_bad_arguments(kwargs: dict[str, Any], error: type[Exception], message: 
         ({"ball": (0, 0)}, r"options has the unknown key 'ball': only 'robot', 'balls', 'obstacles'"),
         ({"balls": (1, 1)}, r"options\['balls'\] must be finite numbers of shape \(1, 2\), got \(1, 1\)"),
         ({"robot": (0, 0, math.nan)}, r"options\['robot'\] must be finite numbers of shape \(3,\)"),
-        (
-            {"robot": (1.9, 0, 3.1)},
-            r"the robot at \(1\.90, 0\.00\) m is in a wall of the arena, which ends at ±2 m",
-        ),
+        ({"robot": (1.9, 0, 3.1)}, r"the robot at \(1\.90, 0\.00\) m is in a wall of the arena, which ends at ±2 m"),
         ({"robot": (1.7, 0, 0)}, r"the robot's gripper at \(1\.98, 0\.00\) m is in a wall"),
         ({"robot": (0, 0, 0), "balls": [(0.2, 0)]}, r"balls\[0\] at \(0\.20, 0\.00\) m overlaps the robot"),
     ],
@@ -157,16 +148,7 @@ def test_bad_reset_options(env: PioneerTask, options: dict[str, Any], message: s
         env.reset(seed=0, options=options)
 
 
-@pytest.mark.parametrize(
-    "action",
-    [
-        -1,
-        7,
-        1.0,
-        None,
-        np.array([1, 2]),
-    ],
-)
+@pytest.mark.parametrize("action", [-1, 7, 1.0, None, np.array([1, 2])])
 def test_bad_actions(env: PioneerTask, action: Any) -> None:
     env.reset(seed=0)
     with pytest.raises(gymnasium.error.InvalidAction, match=r"action must be an integer in 0\.\.6, got "):

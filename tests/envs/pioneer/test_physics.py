@@ -6,10 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from sb3_options.envs.pioneer.body import (
-    BODY_RADIUS,
-    GRIP_AHEAD,
-)
+from sb3_options.envs.pioneer.body import BODY_RADIUS, GRIP_AHEAD
 from sb3_options.envs.pioneer.env import ACTIONS, PioneerTask
 from tests.envs.pioneer.simulators import CLASSES, SIMULATORS
 

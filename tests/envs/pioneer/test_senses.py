@@ -10,12 +10,7 @@ from numpy.typing import NDArray
 from sb3_options.envs.pioneer.arena import OBSTACLE_RADIUS
 from sb3_options.envs.pioneer.body import BALL_RADIUS
 from sb3_options.envs.pioneer.env import DISPLACEMENT, N_SONARS, VISIBLE, WIDTH, PioneerTask
-from sb3_options.envs.pioneer.senses import (
-    CAMERA_AHEAD,
-    FIELD_OF_VIEW,
-    SONAR_MAX,
-    SONARS,
-)
+from sb3_options.envs.pioneer.senses import CAMERA_AHEAD, FIELD_OF_VIEW, SONAR_MAX, SONARS
 from tests.envs.pioneer.simulators import CLASSES, SIMULATORS
 
 HALF = 2.0

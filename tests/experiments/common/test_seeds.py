@@ -42,10 +42,7 @@ def squared(seed: int) -> dict[str, Any]:
 def test_parts_share_the_processes_and_keep_their_results_apart(tmp_path: Path) -> None:
     parts = [Part("double", doubled, tmp_path / "a"), Part("square", squared, tmp_path / "b")]
     results = run_parts(parts, [5, 3], settings={}, on=Machines(jobs=2))
-    assert results == {
-        "double": [{"doubled": 10}, {"doubled": 6}],
-        "square": [{"squared": 25}, {"squared": 9}],
-    }
+    assert results == {"double": [{"doubled": 10}, {"doubled": 6}], "square": [{"squared": 25}, {"squared": 9}]}
     assert len(list(tmp_path.glob("*/seeds/*.json"))) == 4
 
 
