@@ -108,30 +108,6 @@ def test_diverse_density_is_the_engines_in_every_cell_seen() -> None:
     np.testing.assert_allclose(centres, seen, atol=1e-9)
 
 
-def test_first_visits_count_successful_trajectories() -> None:
-    discovery, bank = discovered("environment", xy)
-    seen = np.unique(np.concatenate([t.features for t in discovery.database]), axis=0)
-    expected = [
-        sum(t.success and bool((t.features == cell).all(axis=1).any()) for t in discovery.database) for cell in seen
-    ]
-    assert np.asarray(patches(maps(discovery, bank)[VISITS]).get_array()).tolist() == expected
-
-
-def test_start_goal_and_subgoal_are_marked_and_the_legend_names_the_marks() -> None:
-    discovery, bank = discovered("environment", xy)
-    starts = {tuple(t.features[0]) for t in discovery.database}
-    goals = {tuple(t.features[t.trajectory.visits[-1]]) for t in discovery.database if t.success}
-    for axes in maps(discovery, bank).values():
-        marked = {line.get_marker(): np.asarray(line.get_xydata()) for line in axes.lines}
-        assert {line.get_linestyle() for line in axes.lines} == {"None"}, "marks are not joined"
-        assert {tuple(p) for p in marked["o"]} == starts
-        assert {tuple(p) for p in marked["D"]} == goals
-        assert marked["*"].tolist() == discovery.found[0].subgoal.points.tolist()
-        assert (axes.get_xlabel(), axes.get_ylabel()) == ("x", "y")
-    (legend,) = subgoals_figure(discovery, bank).legends
-    assert [t.get_text() for t in legend.get_texts()] == ["start", "goal: where a success ended", "subgoal"]
-
-
 def test_without_a_leak_a_quarter_of_the_states_is_told_apart() -> None:
     discovery, bank = discovered("environment", xy)
     settings = dataclasses.replace(discovery.settings, leak=0.0, scale=4.0, start_radius=0.0, goal_radius=0.0)
@@ -189,17 +165,6 @@ def test_spaces_without_a_map(kind: str, features: Callable[[Any], npt.NDArray[n
     assert text.get_text().startswith(f"Subgoals: {discovery.found[0].where(kind)}. Their features have no map")
 
 
-def test_keys_of_observations_name_the_axes() -> None:
-    discovery = Discovery(DiscoverySettings(min_positive=1), kind="identity")
-    for walk in walks(30):
-        features = np.asarray(walk.states, dtype=np.float64)
-        keyed = dataclasses.replace(walk, states={"row": features[:, 1:], "column": features[:, :1]})
-        discovery.add(keyed, features)
-        discovery.search()
-    axes = maps(discovery, OptionBank(4, 2))[VISITS]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("column", "row")
-
-
 def test_before_any_search_there_is_nothing_to_draw() -> None:
     empty = Discovery()
     assert map_figure(empty, OptionBank(4, 2)) is None
@@ -207,14 +172,6 @@ def test_before_any_search_there_is_nothing_to_draw() -> None:
     assert text.get_text().startswith("No subgoal was discovered: no episode has ended. Train for longer")
     (text,) = subgoals_figure(empty, OptionBank(4, 2), "Discovery was switched off.").axes[0].texts
     assert text.get_text() == "Discovery was switched off."
-
-
-def test_before_any_option_there_are_two_maps() -> None:
-    discovery = Discovery(DiscoverySettings(min_positive=3, goal_radius=1.5, decay=0.9), kind="environment")
-    for trajectory in walks(12):
-        discovery.add(trajectory, xy(np.asarray(trajectory.states, dtype=np.float64)))
-    discovery.search()
-    assert list(maps(discovery, OptionBank(4, 2))) == [DENSITY, VISITS]
 
 
 def test_options_by_hand_and_on_groups_of_features_are_left_out() -> None:

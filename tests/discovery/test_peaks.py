@@ -6,7 +6,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from experiments.common.few_peaks import extent_of
+from sb3_options.density.diverse_density import Peak
+from sb3_options.discovery.discovery import Discovery
+from sb3_options.discovery.methods import diverse_density
 from sb3_options.discovery.peaks import PeakTracker, plateau_centres
+from tests.discovery.lines import peaks_of
 
 A, B = [0.0, 0.0], [5.0, 0.0]
 ONES = np.ones(2)
@@ -71,6 +75,15 @@ def test_there_is_a_middle_for_each_connected_component(points: list[tuple[int, 
     assert extent_of(places, centres, np.ones(2), radius) == max(farthest[at].max() for at in which)
 
 
+def test_too_many_peaks_that_tie_have_no_middles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(diverse_density, "MOST_TIED", 2)
+    method = peaks_of(Discovery(kind="environment"))
+    method.filters.scale = ONES
+    for n, middles in ((2, 2), (3, 0)):
+        method.peaks = [Peak(np.array([10.0 * i, 0.0]), ONES, -1.0, True) for i in range(n)]
+        assert method.places().shape == (middles, 2)
+
+
 class TestAverages:
     def test_by_hand(self) -> None:
         """λ = 1/2: found, found, missed, found gives 1/2, 3/4, 3/8, 11/16."""
@@ -118,6 +131,11 @@ class TestAverages:
         assert [c.point.tolist() for c in tracker.persistent(0.1)] == [A]
         tracker.update(peaks(A, B), ONES)
         assert [c.point.tolist() for c in tracker.persistent(0.7)] == [A]
+
+    def test_at_the_threshold_a_peak_does_not_persist_yet(self) -> None:
+        tracker = PeakTracker(decay=0.5)
+        tracker.update(peaks(A), ONES)
+        assert (len(tracker.persistent(0.5)), len(tracker.persistent(0.499))) == (0, 1)
 
     def test_leading(self) -> None:
         tracker = PeakTracker(decay=0.5, radius=1.0)

@@ -182,24 +182,6 @@ def test_a_learned_map_is_what_it_is_told_to_be() -> None:
     np.testing.assert_array_equal(two.concept_features(seen), one.concept_features(seen))
 
 
-def test_warnings_say_what_to_do(caplog: pytest.LogCaptureFixture) -> None:
-    for chosen in (True, False):
-        env = OptionsWrapper(CountingEnv())
-        env.reset(seed=0)
-        _ = env.step(2) if chosen else env.action_masks()
-    assert caplog.messages == [
-        "Slot 0 was chosen, and it is empty: a primitive action takes its place. To train, give learn() a "
-        "SubgoalDiscoveryCallback, or a PrimitiveStepsCallback where nothing is to be discovered: they close empty "
-        "slots, which harm learning otherwise. A trained model needs its options in the environment it acts in: "
-        'sb3_options.load_model(DQN, "model.zip", env) or sb3_options.load_options("model.zip", env). This is said '
-        "once.",
-        "No slot holds an option, so that masks allow primitive actions alone. If options were discovered, the model "
-        'needs them here: sb3_options.load_model(MaskablePPO, "model.zip", env) or '
-        'sb3_options.load_options("model.zip", env). To train, give learn() a SubgoalDiscoveryCallback or a '
-        "PrimitiveStepsCallback. This is said once.",
-    ]
-
-
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_goes_on_alike(how: Any) -> None:
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))

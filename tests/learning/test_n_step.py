@@ -251,3 +251,9 @@ class TestModels:
             model = DQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3, replay_buffer_class=OptionReplayBuffer)
         with pytest.raises(ValueError, match=r"pass DQN\(..., replay_buffer_kwargs=\{'n_steps': 3\}\) instead"):
             model.learn(10, callback=PrimitiveStepsCallback())
+
+
+def test_at_first_no_decision_is_the_newest() -> None:
+    successors = Successors(5, 2)
+    successors.add(1, 3, np.zeros(0, np.int64), follows=False, done=False)
+    assert [successors.newest(env).tolist() for env in (0, 1)] == [[], [3]]

@@ -115,3 +115,14 @@ def test_there_is_a_limit() -> None:
     table = TabularPolicy(points, np.zeros((len(points), 2)))
     region, _ = imagined_farther(initiation, AHEAD_IS_NEARER, table, SETTINGS)
     assert len(region.points) == len(points) + MOST_POINTS
+
+
+def test_a_rule_of_another_context_or_that_leads_to_what_was_seen_hides_no_later_one() -> None:
+    states = np.array([[1, 5, 0, 0], [1, 5, 1, 0], [1, 2, 1, 1], [1, 2, 0, 1], [1, 1, 0, 1]], dtype=np.float64)
+    saved = [(0, TURN, 1), (2, TURN, 3), (3, AHEAD, 4)]
+    began, actions, led = (np.repeat([step[i] for step in saved], 40) for i in range(3))
+    transitions = Transitions(states, began, actions, np.zeros(len(began)), led, led == 4)
+    assert [rule.context[1] for rule in displacements(transitions, MOVING)] == [0, 1, 1]
+    initiation = Region(states[2:4], np.array(GROUP.scale), 0.5, group=GROUP)
+    region, _ = imagined_farther(initiation, transitions, TabularPolicy(states[2:4], np.zeros((2, 2))), SETTINGS)
+    assert [1, 3, 0, 1] in region.points.tolist()  # by a step ahead from (2, 0), beside which (2, 1) was seen

@@ -59,3 +59,10 @@ def test_initiation_keeps_what_leads_there_without_what_is_dropped() -> None:
     assert probabilities(split, 15)[FAR] > 0.6
     assert kept(split, 0.4) == [FAR]
     assert kept(split, 0.6) == []
+
+
+def test_zero_has_no_sign() -> None:
+    """NEAR is at 0."""
+    seen = steps((NEAR, GO, THERE, 9))._replace(states=np.array([[9.0], [1.0], [-0.0], [3.0]]))
+    initiation = Region(np.zeros((1, 1)), np.ones(1), 0.5)
+    assert reliable_part(initiation, seen, GOES, least=0.5, steps=15).points.tolist() == [[0.0]]
