@@ -155,9 +155,7 @@ class OptionInstaller:
     def get_state(self) -> dict[str, Any]:
         """For a checkpoint. Of a hand-made option, which is code, it holds the name."""
         return {
-            "slots": [
-                each if each is None or isinstance(each, SubgoalOption) else each.name for each in self.bank.slots
-            ],
+            "slots": [each if isinstance(each, SubgoalOption) else each and each.name for each in self.bank.slots],
             "pending": list(self._pending),
             "new": list(self._new),
             "closing": sorted(self._closing),

@@ -76,12 +76,11 @@ class Part(NamedTuple):
 
 def names_of(cls: type[Any]) -> tuple[str, ...]:
     """Names of the attributes that are the state of a class."""
-    if "__dataclass_fields__" in vars(cls):
-        return tuple(each.name for each in dataclasses.fields(cls) if not each.metadata.get("transient"))
-    for foreign in cls.__mro__:
-        if foreign in FOREIGN:
-            return FOREIGN[foreign]
     declared = [vars(base)["STATE"] for base in reversed(cls.__mro__) if "STATE" in vars(base)]
+    if not declared and "__dataclass_fields__" in vars(cls):
+        return tuple(each.name for each in dataclasses.fields(cls) if not each.metadata.get("transient"))
+    if not declared:
+        declared = [FOREIGN[base] for base in cls.__mro__ if base in FOREIGN][:1]
     if not declared and issubclass(cls, tuple) and hasattr(cls, "_fields"):
         declared = [cls._fields]
     if not declared:
@@ -125,7 +124,7 @@ def _names(owner: object) -> list[str]:
 def _fields(owner: object, where: str, seen: dict[int, object]) -> dict[str, Any]:
     seen[id(owner)] = owner
     names = _names(owner)
-    if dataclasses.is_dataclass(owner):
+    if dataclasses.is_dataclass(owner) and not hasattr(owner, "STATE"):
         declared = {each.name for each in dataclasses.fields(owner)}
         for name in getattr(owner, "__dict__", ()):
             if name not in declared and not isinstance(getattr(type(owner), name, None), functools.cached_property):

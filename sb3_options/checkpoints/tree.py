@@ -97,8 +97,7 @@ class _Encoder:
         if id(value) in self._values:
             return {MARK: "same", "value": self._values[id(value)]}
         name = type(value).__name__
-        fields = {each: getattr(value, each) for each in names_of(type(value))}
-        content = self.encoded(fields, f"{where}<{name}>")
+        content = self.encoded({each: getattr(value, each) for each in names_of(type(value))}, f"{where}<{name}>")
         self._values[id(value)] = len(self._values)  # after those inside it, as they are made
         self._kept.append(value)
         return {MARK: name, "fields": content}

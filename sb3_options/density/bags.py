@@ -87,8 +87,7 @@ class Bags:
     def segments(self) -> list[Segment]:
         """The bags in double precision as the kernels read them, relative to the `origin`; packed once."""
         origin = self.origin.numpy()
-        arrays = self.arrays(lambda instances: instances - origin)
-        return segments_of(arrays, torch.float64)
+        return segments_of(self.arrays(lambda instances: instances - origin), torch.float64)
 
 
 def distinct(points: FloatArray) -> FloatArray:

@@ -221,8 +221,7 @@ class DiverseDensity:
 
     def descent(self, theta: Tensor, evidence: Evidence) -> BatchedLBFGS:
         """The ascent of log density plus log prior from θ (P, S)."""
-        bounds = self.concept.bounds(len(evidence.scale))
-        return BatchedLBFGS(evidence.loss, theta, bounds, tolerance=TOLERANCE)
+        return BatchedLBFGS(evidence.loss, theta, self.concept.bounds(len(evidence.scale)), tolerance=TOLERANCE)
 
     def peaks(
         self, theta: Tensor, loss: Tensor, converged: Tensor, evidence: Evidence, *, rounded: bool = False

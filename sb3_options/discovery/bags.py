@@ -63,8 +63,7 @@ class BagMaker:
         self._passing = PassingShare(settings.subgoal_radius)
         self._known: dict[LabelledTrajectory, Way] = {}
         self._others: list[Region] = []
-        has_cuts = settings.min_passing > 0.0 and filters.group is None
-        self.cuts = LocalCuts() if has_cuts else None
+        self.cuts = LocalCuts() if settings.min_passing > 0.0 and filters.group is None else None
 
     def make(self, database: Iterable[LabelledTrajectory], others: Sequence[Region]) -> FilteredBags | None:
         """The bags of a database; None if fewer than `min_positive` successful trajectories have an instance."""

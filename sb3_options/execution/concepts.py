@@ -66,8 +66,7 @@ class ConceptsInObservation(gym.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         concepts = np.array(self._concepts(self.env, info), dtype=np.float32)  # a copy: it may be the environment's own
         if concepts.shape != (self._size,) or not np.isfinite(concepts).all():
             raise ValueError(f"concepts must return {self._size} finite numbers (size={self._size}), got {concepts}.")
-        parts = observation if self._is_dict else {OBSERVATION: observation}
-        return {**parts, CONCEPTS: concepts}
+        return {**(observation if self._is_dict else {OBSERVATION: observation}), CONCEPTS: concepts}
 
 
 class WithoutConcepts(CombinedExtractor):

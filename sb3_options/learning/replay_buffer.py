@@ -304,8 +304,7 @@ class OptionReplayBuffer(ReplayBuffer):
     def _columns(self) -> list[npt.NDArray[Any]]:
         """Every array with one row per transition."""
         columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
-        observations = [*self._observations.values(), *self._next_observations.values()]
-        return [*columns, *observations]
+        return [*columns, *self._observations.values(), *self._next_observations.values()]
 
     def growing(self) -> list[Growing]:
         """The observations, most of the memory: a checkpoint reads only the new ones."""

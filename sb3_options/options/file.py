@@ -192,8 +192,7 @@ def _decode(
     if group is not None and feature_size is not None:
         checked_groups([group], feature_size)
     subgoal = _region(arrays, "subgoal", entry, group, feature_size)
-    n_features = subgoal.points.shape[1]
-    initiation = _region(arrays, "initiation", entry, None if group is None else group.sees, n_features)
+    initiation = _region(arrays, "initiation", entry, group and group.sees, subgoal.points.shape[1])
     size = observation_size if entry.policy_input == "observation" else initiation.points.shape[1]
     return SubgoalOption(
         subgoal,

@@ -61,8 +61,7 @@ def iqm(values: FloatArray, axis: int = -1) -> Any:
 
 def resampled(values: FloatArray, seed: int) -> FloatArray:
     """Bootstrap resamples of the runs of one condition, (n_resamples, n)."""
-    rng = np.random.default_rng(seed)
-    return values[rng.integers(len(values), size=(N_STRATIFIED, len(values)))]
+    return values[np.random.default_rng(seed).integers(len(values), size=(N_STRATIFIED, len(values)))]
 
 
 def interval_of(statistic: float, resamples: FloatArray) -> Interval:
@@ -89,7 +88,6 @@ def probability_of_improvement(ours: FloatArray, theirs: FloatArray) -> Interval
 
 def band(curves: FloatArray) -> Band:
     """Interquartile mean of (runs, points) at each point, and its 95 % percentile bootstrap interval."""
-    rng = np.random.default_rng(0)
-    drawn = curves[rng.integers(len(curves), size=(N_BANDS, len(curves)))]
+    drawn = curves[np.random.default_rng(0).integers(len(curves), size=(N_BANDS, len(curves)))]
     low, high = np.quantile(iqm(drawn, axis=1), [0.025, 0.975], axis=0)
     return iqm(curves, axis=0), low, high

@@ -280,8 +280,7 @@ def _learn(
 
 def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv]) -> BaseCallback:
     """The callback of ``--eval-freq``; its environment is added to ``envs``."""
-    seed = EVAL_SEED + config.seed
-    env = runs.make_env(config, 1, seed, vec_env=config.vec_env, max_steps=config.eval_max_steps)
+    env = runs.make_env(config, 1, EVAL_SEED + config.seed, vec_env=config.vec_env, max_steps=config.eval_max_steps)
     envs.append(env)
     of: type[_RuledEvalCallback] = _RuledEvalCallback
     if config.algo == "maskableppo":

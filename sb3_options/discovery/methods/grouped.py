@@ -93,8 +93,7 @@ class GroupedPeaks(Method):
                     self._cost += member.seconds(experience)
                 else:
                     member.maker.emptied_by = "contrast"
-        averages = [member.tracker.leading_average() for member in self._members]
-        self._leading = int(np.argmax(averages))
+        self._leading = int(np.argmax([member.tracker.leading_average() for member in self._members]))
         return self.proposals(experience)
 
     def proposals(self, experience: Experience) -> list[Region]:

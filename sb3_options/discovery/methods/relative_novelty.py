@@ -3,7 +3,8 @@
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, validate_call
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import CandidateMethod
@@ -11,6 +12,7 @@ from sb3_options.discovery.methods.method import Experience
 from sb3_options.experience.observations import FloatArray, IntArray
 
 
+@dataclass(kw_only=True, eq=False)
 class RelativeNovelty(CandidateMethod):
     """Şimşek & Barto (2004), *Using Relative Novelty to Identify Useful Temporal Abstractions in RL*.
 
@@ -27,24 +29,17 @@ class RelativeNovelty(CandidateMethod):
         odds: λ_fa/λ_miss · p(N)/p(T): cost of false alarms to that of misses, and prior odds of other states, 100 each.
     """
 
-    @validate_call
-    def __init__(
-        self,
-        *,
-        lag: Annotated[int, Field(ge=1)] = 7,
-        threshold: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 2.0,
-        p_target: Annotated[float, Field(gt=0, lt=1)] = 0.0712,
-        p_other: Annotated[float, Field(gt=0, lt=1)] = 0.0056,
-        odds: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 10_000.0,
-    ) -> None:
-        if p_target <= p_other:
-            raise ValueError(f"p_target must be above p_other, got {p_target} and {p_other}.")
+    lag: Annotated[int, Field(ge=1)] = 7
+    threshold: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 2.0
+    p_target: Annotated[float, Field(gt=0, lt=1)] = 0.0712
+    p_other: Annotated[float, Field(gt=0, lt=1)] = 0.0056
+    odds: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 10_000.0
+
+    def __post_init__(self) -> None:
+        """Begin without places."""
+        if self.p_target <= self.p_other:
+            raise ValueError(f"p_target must be above p_other, got {self.p_target} and {self.p_other}.")
         super().__init__()
-        self.lag = lag
-        self.threshold = threshold
-        self.p_target = p_target
-        self.p_other = p_other
-        self.odds = odds
 
     def update(self, experience: Experience) -> list[Region]:
         """Take note of one more trajectory; as `DiscoveryMethod.update`."""

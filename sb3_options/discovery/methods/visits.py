@@ -3,7 +3,8 @@
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, validate_call
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.candidates import CandidateMethod
@@ -12,6 +13,7 @@ from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray, IntArray
 
 
+@dataclass(kw_only=True, eq=False)
 class FirstVisits(CandidateMethod):
     """McGovern & Barto (2001), §3: the place that most successful trajectories visit.
 
@@ -28,21 +30,15 @@ class FirstVisits(CandidateMethod):
 
     needs_success = True
 
-    @validate_call
-    def __init__(
-        self,
-        *,
-        decay: Annotated[float, Field(gt=0, lt=1)] = 0.75,
-        threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6,
-        min_successes: Annotated[int, Field(ge=1)] = 4,
-        radius: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.5,
-    ) -> None:
+    decay: Annotated[float, Field(gt=0, lt=1)] = 0.75
+    threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6
+    min_successes: Annotated[int, Field(ge=1)] = 4
+    radius: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.5
+
+    def __post_init__(self) -> None:
+        """Begin without places."""
         super().__init__()
-        self.decay = decay
-        self.threshold = threshold
-        self.min_successes = min_successes
-        self.radius = radius
-        self._tracker = PeakTracker(decay=decay, radius=radius)
+        self._tracker = PeakTracker(decay=self.decay, radius=self.radius)
         self._successes = 0
 
     def update(self, experience: Experience) -> list[Region]:
@@ -73,6 +69,7 @@ class FirstVisits(CandidateMethod):
         return super().seconds(experience) if experience.success else 0.0
 
 
+@dataclass(kw_only=True, eq=False)
 class RandomPlaces(Method):
     """A control: a random place of a successful trajectory.
 
@@ -85,12 +82,12 @@ class RandomPlaces(Method):
 
     needs_success = True
 
-    @validate_call
-    def __init__(
-        self, *, min_successes: Annotated[int, Field(ge=1)] = 4, seed: Annotated[int, Field(ge=0)] = 0
-    ) -> None:
-        self.min_successes = min_successes
-        self._random = np.random.default_rng(seed)
+    min_successes: Annotated[int, Field(ge=1)] = 4
+    seed: Annotated[int, Field(ge=0)] = 0
+
+    def __post_init__(self) -> None:
+        """Begin to draw."""
+        self._random = np.random.default_rng(self.seed)
         self._successes = 0
 
     def update(self, experience: Experience) -> list[Region]:
