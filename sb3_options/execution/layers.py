@@ -75,8 +75,13 @@ def set_states(env: gym.Env[Any, Any], states: list[State]) -> str | None:
     if here != there:
         raise ValueError(f"The environment is {' around '.join(here)}; its checkpoint is of {' around '.join(there)}.")
     failure = None
-    for layer, state in zip(layers, states, strict=True):
-        _restore(layer, state)  # what is beneath a RecordActions comes after it
+    for layer, state in zip(layers, states, strict=True):  # what is beneath a RecordActions comes after it
+        if "own" in state:
+            set_own_state(layer, state["own"])
+        if "random" in state:
+            set_random_states(layer, state["random"])
+        if isinstance(layer, Monitor):
+            _set_monitor_state(layer, state)
         if isinstance(layer, RecordActions):
             failure = failure or layer.failure()
     return failure
@@ -105,15 +110,6 @@ def _state_of(layer: Any) -> State:
     if state and not isinstance(layer, gym.Wrapper):
         state["random"] = random_states(layer)
     return state | _monitor_state(layer) if isinstance(layer, Monitor) else state
-
-
-def _restore(layer: Any, state: State) -> None:
-    if "own" in state:
-        set_own_state(layer, state["own"])
-    if "random" in state:
-        set_random_states(layer, state["random"])
-    if isinstance(layer, Monitor):
-        _set_monitor_state(layer, state)
 
 
 def _monitor_state(monitor: Monitor[Any, Any]) -> State:
