@@ -121,7 +121,7 @@ def made_as_train(task: str, condition: str, n_timesteps: int | None, seed: int)
     algo, told = CONDITIONS[condition]
     config = configure(env=env_id, algo=algo, env_kwargs=keywords, seed=seed)
     model = make_model(config, runs.make_env(config, config.n_envs, seed))
-    given = {"max_new_options": config.max_new_options, "seed": seed, **told}
+    given = {"max_new_options": config.max_new_options, **told}
     discovery = SubgoalDiscoveryCallback(config.discovery, config.option, **given)
     return Training(model, discovery, n_timesteps or config.n_timesteps)
 

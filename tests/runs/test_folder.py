@@ -41,7 +41,7 @@ def test_minigrid_is_ready_for_training_and_its_workers_know_it() -> None:
 
 
 def test_a_run_folder_that_is_discarded_takes_an_empty_one_along(tmp_path: Path) -> None:
-    first, second = (runs.new_run_folder(configure(algo="dqn", tensorboard_log=tmp_path)) for _ in range(2))
+    first, second = (runs.new_run_folder(configure(algo="dqn", tensorboard_log=tmp_path / "runs")) for _ in range(2))
     runs.discard(first)
     assert second.is_dir()
     runs.discard(second)

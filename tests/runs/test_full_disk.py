@@ -81,7 +81,7 @@ def test_a_run_that_cannot_begin_leaves_no_folder(limit: Any, when: Any, tmp_pat
     when({})
     limit(1_000)
     with pytest.raises(SystemExit):
-        cli.main(["dqn", "--env", "Full-v0", "--no-progress", "--tensorboard-log", str(tmp_path)])
+        cli.main(["dqn", "--env", "Full-v0", "--no-progress", "--tensorboard-log", str(tmp_path / "runs")])
     limit(None)
     assert "config.yml'" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

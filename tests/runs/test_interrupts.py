@@ -206,7 +206,7 @@ def test_before_the_first_step_nothing_is_left(
 
     monkeypatch.setattr(module, where, interrupted)
     with pytest.raises(SystemExit) as stopped:
-        cli.main(["--env", "Interrupted-v0", "--no-progress", "--tensorboard-log", str(tmp_path)])
+        cli.main(["--env", "Interrupted-v0", "--no-progress", "--tensorboard-log", str(tmp_path / "runs")])
     assert stopped.value.code == 130
     assert "Interrupted" in capfd.readouterr().err.splitlines()[-1]
     assert not list(tmp_path.iterdir())
