@@ -27,7 +27,7 @@ nitpick_ignore_regex = [
     # Other libraries: without their inventories, which would have to be fetched, there is nothing to link to.
     (
         "py:.*",
-        r"(abc|collections|enum|gym|gymnasium|matplotlib|nn|np|npt|numpy|os|pathlib|pydantic|sb3_contrib|scipy"
+        r"(abc|collections|dataclasses|enum|gym|gymnasium|matplotlib|nn|np|npt|numpy|os|pathlib|pydantic|sb3_contrib|scipy"
         r"|spaces|stable_baselines3|torch|types|typing)\..*",
     ),
     ("py:.*", r"ArrayLike|BaseAlgorithm|BaseCallback|EnvFns|GymEnv|MaybeCallback|ReplayBufferSamples|Tensor|VecEnv"),
