@@ -39,6 +39,12 @@ NO_SETTING = HOW_IT_RAN | {"seed"}
 
 EVENTS = "**/*tfevents*"
 
+LONGEST_NAME = 40
+"""Characters of a heading that two lines of a table in 80 columns hold."""
+
+LINE = 72
+"""Characters that fit beside each other below the picture."""
+
 N_POINTS = 200
 """At which curves are drawn."""
 
@@ -165,14 +171,21 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 def grouped(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Runs that differ only in their seed make a group, named by the settings that set it apart."""
+    """Runs that differ only in their seed make a group, named by the settings that set it apart.
+
+    Where these take more than `LONGEST_NAME` characters, the group has the name of its first run folder.
+    """
     settings = [flat({k: v for k, v in run.settings.items() if k not in NO_SETTING}) for run in runs]
     texts = [{name: json.dumps(value, default=str).replace('"', "") for name, value in of.items()} for of in settings]
     names = sorted({name for each in texts for name in each})
     differing = [name for name in names if _sets_apart(name, texts)]
     groups: dict[str, list[Run]] = {}
+    short: dict[str, str] = {}
     for run, each in zip(runs, texts, strict=True):
         name = ", ".join(f"{name} {each.get(name)}" for name in differing)
+        if len(name) > LONGEST_NAME:
+            folder = run.folder.resolve()
+            name = short.setdefault(name, f"{folder.parent.name}/{folder.name}")
         groups.setdefault(name if run.settings and name else _unnumbered(run.folder), []).append(run)
     return groups
 
@@ -244,7 +257,9 @@ def at_the_end(curve: Curve, limit: float) -> float:
 
 def table_of(numbers: Mapping[str, Numbers]) -> Table:
     """A column for every group; a single run has no intervals."""
-    table = Table("", *numbers, caption=CAPTION if any(of["runs"] != 1 for of in numbers.values()) else None)
+    table = Table(caption=CAPTION if any(of["runs"] != 1 for of in numbers.values()) else None)
+    for name in ("", *numbers):
+        table.add_column(name, overflow="fold")  # the ends of names tell them apart
     for row in next(iter(numbers.values())):
         cells = []
         for of in numbers.values():
@@ -277,5 +292,6 @@ def figure_of(groups: Mapping[str, Sequence[Run]], source: str) -> Figure:
         axes.grid(alpha=0.25)
     panels[-1].set_xlabel("primitive steps")
     marks, names = panels[0].get_legend_handles_labels()
-    figure.legend(marks, names, loc="outside lower center", ncols=min(3, len(names)), fontsize=9)
+    columns = LINE // (max(map(len, names)) + len("----- "))
+    figure.legend(marks, names, loc="outside lower center", ncols=min(max(columns, 1), len(names)), fontsize=9)
     return figure

@@ -98,6 +98,8 @@ def test_runs_that_differ_in_their_seed_alone_are_a_group(tmp_path: Path) -> Non
     )
     mine = run("b_2", algo_kwargs={"batch_size": 8})
     assert list(grouped([run("b_1"), mine, other]))[1] == "algo ppo, algo_kwargs.batch_size 8"
+    far = [run(f"c_{seed}", seed=seed, env_kwargs={"goal": [20, 0], "max_steps": 100}, gamma=0.5) for seed in (1, 2)]
+    assert {name: len(members) for name, members in grouped([*runs[:2], *far]).items()} == {"ppo/a_1": 2, "ppo/c_1": 2}
 
 
 def test_runs_of_others_are_grouped_by_their_folders(tmp_path: Path) -> None:
@@ -188,3 +190,12 @@ def test_a_picture_has_a_row_for_each_measure(tmp_path: Path) -> None:
     assert [len(axes.lines) for axes in figure.axes] == [2, 2]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a (2)", "b (2)"]
     figure.savefig(tmp_path / "compare.png")
+
+
+@pytest.mark.parametrize(("name", "n"), [("a", 7), ("bonus rnd, discovery.decay 0.9", 3), ("x" * 60, 2)])
+def test_the_names_of_all_groups_are_within_the_picture(name: str, n: int, tmp_path: Path) -> None:
+    run = read_run(logged(tmp_path / "run", [0.0, 0.5, 1.0]))
+    figure = figure_of({f"{name}{number}": [run] for number in range(n)}, "rollout")
+    figure.savefig(tmp_path / "compare.png")
+    names = figure.legends[0].get_window_extent()
+    assert figure.bbox.x0 <= names.x0 < names.x1 <= figure.bbox.x1
