@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.checkpoints.demonstrations import load_demonstrations
 from sb3_options.execution.slots import Traits
-from sb3_options.experience.observations import take
+from sb3_options.experience.observations import batch_size, take
 from sb3_options.experience.success import SuccessRule, judged
 from sb3_options.experience.trajectories import Trajectory
 
@@ -22,7 +22,8 @@ def labelled(
 ) -> list[tuple[Trajectory, bool]]:
     """Demonstrations with their labels, failures among successes.
 
-    Where none of them failed, a random policy does, after which the environments have to be reset.
+    If none of them failed, as many episodes of a random policy are added, after which the environments have to be
+    reset. A random policy may succeed, too.
 
     Args:
         given: Trajectories, or the file that `save_demonstrations` wrote.
@@ -37,18 +38,18 @@ def labelled(
     traits: Traits = venv.get_attr("traits", [0])[0]
     for number, trajectory in enumerate(everything):
         _check(trajectory, number, traits)
-    positive = [(each, True) for each in everything if judged(success, each)]
-    negative = [(each, False) for each in everything if not judged(success, each)]
-    if not positive:
+    shown = [(each, judged(success, each)) for each in everything]
+    if not any(said for _, said in shown):
         raise ValueError(
             f"None of the {len(everything)} demonstrations succeeded: say what success is, with "
             "SubgoalDiscoveryCallback(success=...) or train.py --success, or record others."
         )
-    if not negative:
-        failures = venv.env_method("random_trajectories", len(positive), seed, indices=[0])[0]
-        negative = [(each, False) for each in failures]
-    places = np.argsort(np.concatenate([np.linspace(0, 1, len(part)) for part in (negative, positive)]), kind="stable")
-    return [[*negative, *positive][place] for place in places]
+    if all(said for _, said in shown):
+        walks = venv.env_method("random_trajectories", len(shown), seed, indices=[0])[0]
+        shown += [(each, judged(success, each)) for each in walks]
+    parts = [[each for each in shown if each[1] == said] for said in (False, True)]
+    places = np.argsort(np.concatenate([np.linspace(0, 1, len(part)) for part in parts]), kind="stable")
+    return [[*parts[0], *parts[1]][place] for place in places]
 
 
 def _check(trajectory: Any, number: int, traits: Traits) -> None:
@@ -58,9 +59,11 @@ def _check(trajectory: Any, number: int, traits: Traits) -> None:
         )
     space, first = traits.observation_space, take(trajectory.states, 0)
     fits = isinstance(first, dict) == isinstance(space, spaces.Dict) and space.contains(first)
+    n_states, n_steps, visits = batch_size(trajectory.states), len(trajectory), trajectory.visits
+    whole = len(visits) == n_steps + 1 == len(trajectory.rewards) + 1 and np.isin(visits, range(n_states)).all()
     legal = np.isin(trajectory.actions, range(traits.n_primitive)).all()
-    if not (fits and legal and np.isfinite(trajectory.rewards).all()):
+    if not (fits and whole and legal and np.isfinite(trajectory.rewards).all()):
         raise ValueError(
             f"Demonstration {number} does not fit the environment: its observations must be in {space}, its actions "
-            f"from 0 to {traits.n_primitive - 1}, and its rewards finite."
+            f"from 0 to {traits.n_primitive - 1}, and its rewards finite, with a visit before and after every action."
         )

@@ -31,4 +31,7 @@ def load_demonstrations(path: str | os.PathLike[str]) -> list[Trajectory]:
     content = Path(path).read_bytes()
     with errors_of(os.fspath(path), "holds no demonstrations, or it is damaged"):
         parts, arrays = unsealed(content, FORMAT)
-        return [each for each in decode(parts["trajectories"], arrays) if isinstance(each, Trajectory)]
+        trajectories: list[Trajectory] = decode(parts["trajectories"], arrays)
+        if not all(isinstance(each, Trajectory) for each in trajectories):
+            raise ValueError("it holds something else than trajectories")
+    return trajectories

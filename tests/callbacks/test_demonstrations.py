@@ -102,9 +102,9 @@ def test_training_goes_on_from_a_reset_after_random_failures(shown: list[Traject
         model.learn(256, discovery)
         assert discovery.discoveries[0].timestep == 0
         assert discovery.discovery is not None
-        failures = [each for each in discovery.discovery.database if not each.success][:3]
-        assert failures
-        assert all(each.trajectory.actions.std() > 0 for each in failures)
+        # A random policy reaches the goal of small rooms, too: then it is no failure.
+        assert {each.success for each in discovery.discovery.database} == {True, False}
+        assert all(each.success == bool(each.trajectory.is_success) for each in discovery.discovery.database)
     finally:
         env.close()
 
@@ -140,6 +140,9 @@ def test_options_without_training(shown: list[Trajectory], tmp_path: Path) -> No
         {"states": np.zeros((4, 7), np.float32)},
         {"states": {"place": np.zeros((4, 45), np.float32)}},
         {"states": np.full((4, 45), np.nan, np.float32)},
+        {"visits": np.array([0, 1, 2, 4])},
+        {"visits": np.arange(3)},
+        {"rewards": np.zeros(4)},
     ],
 )
 def test_demonstrations_that_do_not_fit_are_refused(shown: list[Trajectory], wrong: dict[str, Any]) -> None:
@@ -167,6 +170,9 @@ def test_a_file_holds_the_same_trajectories_and_a_damaged_one_is_refused(
     content[-1] ^= 1
     path.write_bytes(content)
     with pytest.raises(ValueError, match="holds no demonstrations, or it is damaged"):
+        load_demonstrations(path)
+    save_demonstrations(path, [shown[0], "no trajectory"])  # type: ignore[list-item]
+    with pytest.raises(ValueError, match="something else than trajectories"):
         load_demonstrations(path)
     OptionBank(4, 1).save(path)
     with pytest.raises(ValueError, match="its format is"):
