@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.stats import bootstrap
 
+from experiments.common.seeds import Result
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.intervals import N_RESAMPLES, Interval, interval_of, iqm, resampled
+from sb3_options.runs.intervals import N_RESAMPLES, Interval, interval_of, iqm, iqm_interval, resampled
+
+
+def steps_until(runs: Sequence[Result], key: str, most: int) -> dict[str, float]:
+    """Interquartile mean of the steps under ``key`` with its interval; a run with None counts ``most``."""
+    steps = [run[key] for run in runs if run[key] is not None]
+    until = iqm_interval(np.array(steps + [most] * (len(runs) - len(steps)), dtype=float))
+    return {"n_runs": len(runs), "n_reached": len(steps), "mean": until.mean, "low": until.low, "high": until.high}
 
 
 def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:

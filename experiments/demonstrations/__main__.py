@@ -10,14 +10,13 @@ import shlex
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
 import tyro
 from rich.table import Table
 
-from experiments.common.seeds import Part, Result, run_parts
+from experiments.common.intervals import steps_until
+from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.demonstrations.conditions import ARMS, EPISODES, LEARNED, PPO, TASKS, Arm, run
-from sb3_options.runs.intervals import iqm_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,27 +44,19 @@ def main(study: Study) -> None:
     ]
     settings = {"episodes": study.episodes, "frames": TASKS, "learned": [LEARNED, EPISODES], "ppo": PPO}
     results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
-    summary = {name: summarise(runs, TASKS[name.split(":")[0]]) for name, runs in results.items()}
+    summary = {name: steps_until(runs, "learned", TASKS[name.split(":")[0]]) for name, runs in results.items()}
     command = f"python -m experiments.demonstrations --runs {study.runs} --first-seed {study.first_seed}"
     command += f" --episodes {study.episodes} --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"
     write(study.out, {"command": command, "settings": settings, "summary": summary, "runs": results}, {})
     table = Table("", "learned", "frames until then")
     for name, row in summary.items():
         frames = f"{row['mean']:,.0f} ({row['low']:,.0f} to {row['high']:,.0f})"
-        table.add_row(name, f"{row['n_learned']:.0f} of {row['n_runs']:.0f}", frames)
+        table.add_row(name, f"{row['n_reached']:.0f} of {row['n_runs']:.0f}", frames)
     show(
         table,
         "Interquartile means with 95 % bootstrap intervals. A run that does not learn counts with its whole length.",
         f"Results: {study.out / 'results.json'}",
     )
-
-
-def summarise(runs: list[Result], most: int) -> dict[str, float]:
-    """Interquartile mean of the frames until a task is learned, with its interval."""
-    frames = np.array([most if r["learned"] is None else r["learned"] for r in runs], dtype=float)
-    until = iqm_interval(frames)
-    n_learned = sum(r["learned"] is not None for r in runs)
-    return {"n_runs": len(runs), "n_learned": n_learned, "mean": until.mean, "low": until.low, "high": until.high}
 
 
 if __name__ == "__main__":

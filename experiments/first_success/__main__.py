@@ -11,14 +11,13 @@ import shlex
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
 import tyro
 from rich.table import Table
 
-from experiments.common.seeds import Part, Result, run_parts
+from experiments.common.intervals import steps_until
+from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.first_success.conditions import ARMS, N_TIMESTEPS, SETTINGS, TASKS, Arm, run
-from sb3_options.runs.intervals import iqm_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +43,7 @@ def main(study: Study) -> None:
     ]
     settings = {"n_timesteps": N_TIMESTEPS, "tasks": TASKS, **dataclasses.asdict(SETTINGS)}
     results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
-    summary = {name: summarise(runs) for name, runs in results.items()}
+    summary = {name: steps_until(runs, "first_success", N_TIMESTEPS) for name, runs in results.items()}
     command = f"python -m experiments.first_success --runs {study.runs} --first-seed {study.first_seed}"
     command += f" --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"
     write(study.out, {"command": command, "n_timesteps": N_TIMESTEPS, "summary": summary, "runs": results}, {})
@@ -57,14 +56,6 @@ def main(study: Study) -> None:
         f"Interquartile means with 95 % bootstrap intervals; a run without a success counts as {N_TIMESTEPS:,}.",
         f"Results: {study.out / 'results.json'}",
     )
-
-
-def summarise(runs: list[Result]) -> dict[str, float]:
-    """Interquartile mean of the steps until the first success, with its interval."""
-    steps = np.array([N_TIMESTEPS if r["first_success"] is None else r["first_success"] for r in runs], dtype=float)
-    reached = iqm_interval(steps)
-    n_reached = sum(r["first_success"] is not None for r in runs)
-    return {"n_runs": len(runs), "n_reached": n_reached, "mean": reached.mean, "low": reached.low, "high": reached.high}
 
 
 if __name__ == "__main__":
