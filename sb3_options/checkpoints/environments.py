@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from stable_baselines3.common import vec_env
@@ -31,14 +32,11 @@ def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
     if isinstance(venv, DummyVecEnv):
         venv.envs = [layers.prepare(env, just_reset=just_reset) for env in venv.envs]
         return
-    if not isinstance(venv, SubprocVecEnv):
-        raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
+    _check_supported(venv, SubprocVecEnv)
     if not all(venv.env_is_wrapped(OptionsWrapper)):
         raise ValueError("Checkpoints of environments in worker processes need OptionsWrapper around each of them.")
     venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # it is asked whether they are instances
-    for _, why in venv.env_method("on_layers", _prepare, just_reset):
-        if why is not None:
-            raise ValueError(why)
+    _in_workers(venv, _prepare, just_reset)
 
 
 def _prepare(env: Any, just_reset: bool) -> None:
@@ -56,7 +54,7 @@ def get_state(venv: VecEnv) -> State:
     if isinstance(venv, DummyVecEnv):
         states = [layers.states_of(env) for env in venv.envs]
     else:
-        states = [state for state, _ in venv.env_method("on_layers", layers.states_of)]
+        states = _in_workers(venv, layers.states_of)
     return {"wrappers": wrappers, "environments": states, "seeds": seeds, "options": options}
 
 
@@ -90,9 +88,7 @@ def set_state(venv: VecEnv, state: State) -> list[str]:
         if isinstance(venv, DummyVecEnv):
             failure = layers.set_states(venv.envs[i], states)
         else:
-            ((failure, wrong),) = venv.env_method("on_layers", layers.set_states, states, indices=[i])
-            if wrong is not None:
-                raise ValueError(wrong)
+            (failure,) = _in_workers(venv, layers.set_states, states, indices=[i])
         if failure is not None:
             failures.append(f"environment {i}: {failure}")
     return failures
@@ -101,6 +97,19 @@ def set_state(venv: VecEnv, state: State) -> list[str]:
 def _wrapper_state(venv: VecEnvWrapper) -> State:
     if type(venv) in REMEMBER_NOTHING:
         return {}
-    if not isinstance(venv, VecNormalize | vec_env.VecFrameStack):
-        raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
+    _check_supported(venv, VecNormalize, vec_env.VecFrameStack)
     return state_of(venv)
+
+
+def _check_supported(venv: VecEnv, *kinds: type[VecEnv]) -> None:
+    if not isinstance(venv, kinds):
+        raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
+
+
+def _in_workers(venv: VecEnv, function: Callable[..., Any], *args: Any, indices: list[int] | None = None) -> list[Any]:
+    """What a function returns for the environment of each worker process, or its error."""
+    results = venv.env_method("on_layers", function, *args, indices=indices)
+    for _, why in results:
+        if why is not None:
+            raise ValueError(why)
+    return [result for result, _ in results]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -71,12 +72,18 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         if self.recorder is None:
             return result
         observation, reward, terminated, truncated, info = result
-        if "trajectory" in info or "segments" in info:
-            raise ValueError(
-                'The environment has an info["trajectory"] or info["segments"] of its own, where OptionsWrapper '
-                "reports what it recorded: give it another name there."
-            )
+        refuse_own(info, "trajectory", "segments")
         self.recorder.record(action, float(reward), observation)
         if terminated or truncated:
             self.recorder.end(terminated=terminated, truncated=truncated, is_success=success_in(info))
         return result
+
+
+def refuse_own(info: Mapping[str, Any], *names: str) -> None:
+    """Refuse an environment whose ``info`` has entries that `OptionsWrapper` writes."""
+    for name in names:
+        if name in info:
+            raise ValueError(
+                f'The environment has an info["{name}"] of its own, where OptionsWrapper reports what it recorded: '
+                "give it another name there, and wrap in OptionsWrapper once only."
+            )

@@ -21,7 +21,7 @@ from sb3_options.execution import features as feature_maps
 from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, primitive_of, run_option
-from sb3_options.execution.recording import RecordTrajectories
+from sb3_options.execution.recording import RecordTrajectories, refuse_own
 from sb3_options.execution.slots import SlotState, Traits
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun, RunInfo
@@ -358,11 +358,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def _reported(self, result: StepReturn, option: dict[str, Any]) -> StepReturn:
         """What the last primitive step returned, with all that ``info`` is to say."""
         observation, reward, terminated, truncated, info = result
-        if "option" in info:
-            raise ValueError(
-                'The environment has an info["option"] of its own, where OptionsWrapper reports what ran: give it '
-                "another name there, and wrap in OptionsWrapper once only."
-            )
+        refuse_own(info, "option")
         info = dict(info)  # an environment may hand out one and the same dictionary every time
         info["option"] = option
         if self._recording is not None and self._recording.finished:

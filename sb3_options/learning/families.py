@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import logging
+from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
@@ -86,7 +87,7 @@ class Table(Family):
         return had_values
 
 
-class Networks(Family):
+class Networks(Family, ABC):
     """Base of the families whose policy is a network with outputs for each action, closed while a slot is empty."""
 
     def check(self, venv: VecEnv) -> None:
@@ -107,9 +108,9 @@ class Networks(Family):
         heads.check_outputs(policy, lambda: self.outputs(batch))
         policy.set_training_mode(training)
 
+    @abstractmethod
     def outputs(self, batch: Any) -> torch.Tensor:
         """Values of actions, or logits but for a common constant, (…, n_actions)."""
-        raise NotImplementedError
 
     def is_untrained(self, n_primitive: int) -> bool:
         """Whether option slots have their random initial weights: nothing was learned, loaded or closed."""

@@ -83,7 +83,6 @@ class TrainConfig:
         success: Rule: terminated, return:30 or steps:500.
         checkpoint_freq: Primitive steps per checkpoint; 0: none.
         eval_episodes: Episodes of an evaluation.
-        eval_max_steps: Their maximum primitive steps; 0: any.
         vec_env: Where environments run: dummy, subproc or ray.
         progress: Whether to show a progress bar.
         discovery: How subgoals are found.
@@ -111,7 +110,6 @@ class TrainConfig:
     success: Annotated[str, AfterValidator(_named_rule)] = "reported"
     checkpoint_freq: Natural = 10_000
     eval_episodes: Count = 10
-    eval_max_steps: Natural = 1_000
     vec_env: Literal["dummy", "subproc", "ray"] = "dummy"
     progress: bool = True
     discovery: DiscoverySettings = field(default_factory=DiscoverySettings)

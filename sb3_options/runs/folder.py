@@ -117,12 +117,12 @@ def make_env(
     beneath: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None,
     render_mode: str | None = None,
     vec_env: Literal["dummy", "subproc", "ray"] = "dummy",
-    max_steps: int = 0,
+    max_steps: int | None = None,
 ) -> VecEnv:
     """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
 
     The slots start with the options of ``--options``. An environment of MiniGrid gets a `MiniGridWrapper`, unless
-    ``--env-wrapper`` names another.
+    ``--env-wrapper`` names another. An episode ends after ``max_steps`` where the id has no limit.
     """
     wrapper = None if config.env_wrapper is None else named(config.env_wrapper, "--env-wrapper")
     of_minigrid = minigrid.is_minigrid(config.env)
@@ -140,7 +140,8 @@ def make_env(
             env = gym.make(env_id, **kwargs)
             env = env if wrapper is None else wrapper(env)
         # Beneath the Monitor, for SB3 counts the episodes that a Monitor reports.
-        return gym.wrappers.TimeLimit(env, max_steps) if max_steps else env
+        unlimited = env.spec is None or env.spec.max_episode_steps is None
+        return gym.wrappers.TimeLimit(env, max_steps) if max_steps and unlimited else env
 
     if monitor_dir is not None:
         _begin_monitors(monitor_dir, n_envs, config.env)

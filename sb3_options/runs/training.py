@@ -46,6 +46,9 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PATIENCE = 5.0
 """Seconds for which training goes on to where a checkpoint can be written; Docker kills 10 s after SIGTERM."""
 
+EVAL_STEPS = 1_000
+"""Primitive steps of an episode of an evaluation, where the id of the environment has no limit."""
+
 
 class Interrupts:
     """Takes `SIGNALS` while its ``with`` block runs.
@@ -280,7 +283,7 @@ def _learn(
 
 def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv]) -> BaseCallback:
     """The callback of ``--eval-freq``; its environment is added to ``envs``."""
-    env = runs.make_env(config, 1, EVAL_SEED + config.seed, vec_env=config.vec_env, max_steps=config.eval_max_steps)
+    env = runs.make_env(config, 1, EVAL_SEED + config.seed, vec_env=config.vec_env, max_steps=EVAL_STEPS)
     envs.append(env)
     of: type[_RuledEvalCallback] = _RuledEvalCallback
     if config.algo == "maskableppo":

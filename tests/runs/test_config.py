@@ -17,7 +17,7 @@ from sb3_options.runs.config import ALGORITHMS, FIELDS, configure
 def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
     config = configure(
         algo="maskableppo", env="Taxi-v3", env_kwargs={"is_rainy": True, "map": "S#\nSG"}, n_timesteps=123, seed=9,
-        env_wrapper="a_module:Wrapper", feature_map="a_module:phi", eval_max_steps=70, checkpoint_freq=60, n_envs=3,
+        env_wrapper="a_module:Wrapper", feature_map="a_module:phi", checkpoint_freq=60, n_envs=3,
         tensorboard_log=Path("else/where"), eval_freq=50, eval_episodes=4, progress=False,
         vec_env="subproc", options=Path("a/run"), demonstrations=Path("shown"), max_options=2, max_new_options=None,
         gamma=0.5, bonus="rnd", success="return:3",

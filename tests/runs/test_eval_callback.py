@@ -15,6 +15,7 @@ from sb3_options.runs import folder as runs
 from sb3_options.runs.compare import read_run
 from sb3_options.runs.config import configure
 from sb3_options.runs.evaluation import evaluate_run
+from sb3_options.runs.training import EVAL_STEPS
 from tests.support.helpers import CountingEnv
 from tests.support.runs import train
 
@@ -79,21 +80,20 @@ def test_success_is_logged_by_the_rule(rule: str, told: str, rate: float | None,
     assert curves["rollout"]["success"].values[-1] == pytest.approx(rate, abs=0.02)
 
 
-@pytest.mark.parametrize(("own", "limit", "expected"), [(None, 30, 30), (20, 30, 20), (200, 30, 30)])
+@pytest.mark.parametrize(("own", "expected"), [(None, EVAL_STEPS), (20, 20), (EVAL_STEPS + 50, EVAL_STEPS + 50)])
 def test_an_evaluation_ends_where_the_policy_never_arrives(
-    own: int | None, limit: int, expected: int, register: Register, tmp_path: Path
+    own: int | None, expected: int, register: Register, tmp_path: Path
 ) -> None:
     register(ends_after=np.inf, max_episode_steps=own)
-    folder = train(settings(tmp_path, n_timesteps=60, eval_max_steps=limit, eval_episodes=2))
+    folder = train(settings(tmp_path, n_timesteps=60, eval_episodes=2))
     assert np.load(folder / "evaluations.npz")["ep_lengths"].tolist() == [[expected] * 2]
 
 
 def test_the_limit_is_for_evaluation_only(register: Register, tmp_path: Path) -> None:
-    register(ends_after=40)
-    folder = train(settings(tmp_path, n_timesteps=100, eval_max_steps=30, eval_episodes=1))
-    assert [line.split(",")[1] for line in (folder / "monitor" / "0.monitor.csv").read_text().splitlines()[2:]] == [
-        "40"
-    ] * 2
+    register(ends_after=EVAL_STEPS + 50)
+    folder = train(settings(tmp_path, n_timesteps=EVAL_STEPS + 100, eval_freq=EVAL_STEPS, eval_episodes=1))
+    (episode,) = (folder / "monitor" / "0.monitor.csv").read_text().splitlines()[2:]
+    assert episode.split(",")[1] == str(EVAL_STEPS + 50)
 
 
 class TestBestModel:
