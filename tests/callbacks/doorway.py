@@ -7,10 +7,12 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_options import OptionBank, OptionReplayBuffer
+from sb3_options import OptionBank, OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.density.regions import Region
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
+from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import DOORWAY, RANDOM, TINY, optioned_rooms
 
 N_PRIMITIVE = 4
@@ -24,6 +26,16 @@ def model_of(env: Any = None, algorithm: type[OffPolicyAlgorithm] = DQN, **kwarg
     return algorithm("MlpPolicy", env, gamma=0.9, **buffer | TINY | RANDOM | kwargs)
 
 
+def with_option() -> OptionsWrapper:
+    env = optioned_rooms(2)
+    env.bank.add(steady_option(1, max_duration=3))
+    return env
+
+
+def finds_nothing() -> SubgoalDiscoveryCallback:
+    return SubgoalDiscoveryCallback(max_new_options=0)
+
+
 def to_the_doorway(action: int, *nearby: tuple[float, float]) -> SubgoalOption:
     """An option for the doorway that always takes one action, in force near some places."""
     scale = np.ones(2)
@@ -34,6 +46,12 @@ def to_the_doorway(action: int, *nearby: tuple[float, float]) -> SubgoalOption:
         policy_input="features",
         max_duration=3,
     )
+
+
+def discovered(bank: OptionBank, slot: int = 0) -> SubgoalOption:
+    option = bank[slot]
+    assert isinstance(option, SubgoalOption)
+    return option
 
 
 def banks(venv: VecEnv) -> list[OptionBank]:

@@ -10,36 +10,26 @@ from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_options import OptionReplayBuffer, OptionsWrapper, load_model
+from sb3_options import OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
+from tests.callbacks.doorway import finds_nothing, model_of, with_option
 from tests.support.helpers import CountingEnv, steady_option
-from tests.support.sb3_helpers import RANDOM, TINY, fast_callback, optioned_rooms
-
-
-def model_of(env: Any, **kwargs: Any) -> DQN:
-    own = {"replay_buffer_class": OptionReplayBuffer, **kwargs}
-    return DQN("MlpPolicy", env, **{"gamma": 0.9, **TINY, **RANDOM, **own})
-
-
-def with_option() -> OptionsWrapper:
-    env = optioned_rooms(2)
-    env.bank.add(steady_option(1, max_duration=3))
-    return env
+from tests.support.sb3_helpers import fast_callback, optioned_rooms
 
 
 def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) -> None:
     model = model_of(with_option())
     model.learn(300, callback=PrimitiveStepsCallback())
     model.set_env(optioned_rooms(2))
-    model.learn(20, callback=SubgoalDiscoveryCallback(max_new_options=0), reset_num_timesteps=False)
+    model.learn(20, callback=finds_nothing(), reset_num_timesteps=False)
     assert "Slot 0 is empty, and the model has learned what an option there is worth" in caplog.text
     assert "Slot 1" not in caplog.text
     assert heads.is_closed(model.policy, 4)
 
 
 @pytest.mark.parametrize("algorithm", [DQN, PPO])
-@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, finds_nothing])
 def test_parameters_that_were_set_are_trained_heads(algorithm: Any, callback: Any) -> None:
     """`set_parameters` leaves the number of updates at 0, which is no sign of an untrained model."""
 
@@ -93,7 +83,7 @@ class LastStates(BaseCallback):
         return True
 
 
-@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, finds_nothing])
 @pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, RecurrentPPO])
 def test_a_training_that_the_budget_ended_in_a_rollout_goes_on_from_where_the_environments_are(
     algorithm: Any, callback: Any

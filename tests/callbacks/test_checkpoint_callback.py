@@ -13,9 +13,7 @@ from sb3_options.callbacks import CheckpointCallback, EndedAtCheckpointError
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods import Experience
-from tests.callbacks.test_checkpoint_resuming import discovering, keep_all, model_of, trained, venv_of
-
-__all__ = ["keep_all"]
+from tests.callbacks.test_checkpoint_resuming import discovering, model_of, trained, venv_of
 
 
 class TestCheckpointCallback:

@@ -10,10 +10,8 @@ from experiments.kills.states import differing
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.checkpoints.tree import State
-from tests.callbacks.test_checkpoint_resuming import FAST, SLOW, filled, keep_all, model_of, trained, venv_of
+from tests.callbacks.test_checkpoint_resuming import FAST, SLOW, filled, model_of, trained, venv_of
 from tests.support.sb3_helpers import fast_callback
-
-__all__ = ["keep_all"]
 
 STEPS = {"DQN": 6000}
 """Primitive steps after which an algorithm tries an option, where 2,600 are too few: DQN explores empty slots."""

@@ -1,6 +1,5 @@
 """Killed and resumed is never interrupted: every array of the final state is equal, byte for byte."""
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv,
 from experiments.kills.states import differing
 from sb3_options import OptionReplayBuffer
 from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
-from sb3_options.checkpoints import file as checkpoint_file
 from sb3_options.checkpoints.file import read
 from sb3_options.checkpoints.tree import State
 from sb3_options.discovery.methods import DiscoveryMethod
@@ -58,12 +56,6 @@ def model_of(name: str, venv: VecEnv, **kwargs: Any) -> Any:
 
 def discovering(**kwargs: Any) -> SubgoalDiscoveryCallback:
     return fast_callback(max_new_options=2, option_settings={"grow": True}, **kwargs)
-
-
-@pytest.fixture
-def keep_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checkpoint_file, "KEPT", 10**6)
-    monkeypatch.setattr(os, "fsync", lambda _: None)  # no power fails here
 
 
 def trained(

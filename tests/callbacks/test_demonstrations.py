@@ -18,11 +18,9 @@ from sb3_options import OptionsWrapper, load_demonstrations, record_demonstratio
 from sb3_options.callbacks import SubgoalDiscoveryCallback, discover
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
-from tests.callbacks.test_checkpoint_resuming import check_resumes, keep_all, model_of, venv_of
+from tests.callbacks.test_checkpoint_resuming import check_resumes, model_of, venv_of
 from tests.support.helpers import equal, table_option, trajectory_of
 from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, make_optioned_rooms, optioned_rooms, small_rooms
-
-__all__ = ["keep_all"]
 
 WIDTH = 9
 UP, DOWN, LEFT, RIGHT = range(4)

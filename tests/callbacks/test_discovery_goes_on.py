@@ -19,20 +19,9 @@ from sb3_options.density.regions import Region
 from sb3_options.envs import Direction
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import heads
-from sb3_options.options.option import SubgoalOption
-from tests.callbacks.doorway import STEPS, banks, model_of, to_the_doorway
+from tests.callbacks.doorway import STEPS, banks, discovered, model_of, to_the_doorway
 from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import env_of, fast_callback, optioned_rooms, small_rooms
-
-
-class Endless(gym.Wrapper[Any, Any, Any, Any]):
-    """Goes on from the start after the goal."""
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        obs, reward, terminated, truncated, info = self.env.step(action)
-        if terminated:
-            obs, _ = self.env.reset()
-        return obs, float(reward), False, truncated, info
 
 
 class TestGoesOn:
@@ -86,10 +75,9 @@ class TestGoesOn:
         with caplog.at_level(logging.WARNING, "sb3_options"):
             model.learn(STEPS, callback=callback)
         assert model.num_timesteps >= STEPS
-        logged = [r.getMessage() for r in caplog.records]
-        assert len(logged) == 1
-        assert logged[0].startswith("No discovery after episode 1: ")
-        assert "NaN" in logged[0]
+        (said,) = caplog.messages
+        assert said.startswith("No discovery after episode 1: ")
+        assert "NaN" in said
         assert len(callback.discoveries) == 1
 
     @pytest.mark.parametrize("reward", [math.nan, math.inf])
@@ -105,11 +93,9 @@ def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.Monke
     monkeypatch.setattr(usefulness, "MIN_RUNS", 10)
     monkeypatch.setattr(usefulness, "RUNS_BETWEEN", 5)
     env = optioned_rooms()
-    right, left = Direction.RIGHT, Direction.LEFT
-    env.bank.add(to_the_doorway(right, (3, 2)))
-    env.bank.add(to_the_doorway(left, (0, 2)))
-    still = {"grow": False}
-    callback = SubgoalDiscoveryCallback(option_settings=still, max_new_options=0)
+    env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2)))
+    env.bank.add(to_the_doorway(Direction.LEFT, (0, 2)))
+    callback = SubgoalDiscoveryCallback(option_settings={"grow": False}, max_new_options=0)
     model_of(env, seed=0).learn(6000, callback=callback)
     assert [(closed.slot, closed.why) for closed in callback.closed] == [(1, "goes in circles")]
     assert callback.bank.filled == env.bank.filled == (0,)
@@ -148,8 +134,6 @@ def test_an_option_from_a_file_grows_where_it_is_used(tmp_path: Path) -> None:
     env = OptionsWrapper(small_rooms(), 4, gamma=0.9, options_file=tmp_path / "options")
     callback = SubgoalDiscoveryCallback(max_new_options=0, option_settings={"grow": True, "value_function": "table"})
     model_of(env).learn(2 * STEPS, callback=callback)
-    option = env.bank[0]
-    assert isinstance(option, SubgoalOption)
-    points = {tuple(point) for point in option.initiation_set.points}
+    points = {tuple(point) for point in discovered(env.bank).initiation_set.points}
     assert (3, 2) in points
     assert len(points) > 5

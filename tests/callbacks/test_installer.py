@@ -7,16 +7,15 @@ import numpy.typing as npt
 import pytest
 from stable_baselines3 import DQN
 
-from sb3_options import OptionDQN, OptionReplayBuffer
+from sb3_options import OptionDQN
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.density.regions import Region
 from sb3_options.execution.exploration import CappedActions
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import TabularPolicy
+from tests.callbacks.doorway import N_PRIMITIVE, model_of
 from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import RANDOM, TINY, env_of, optioned_rooms
-
-N_PRIMITIVE = 4
+from tests.support.sb3_helpers import env_of, optioned_rooms
 
 
 def option_from(*columns: float) -> SubgoalOption:
@@ -28,11 +27,7 @@ def option_from(*columns: float) -> SubgoalOption:
 
 def filled(algorithm: Any) -> Any:
     """With transitions of random steps."""
-    model = algorithm(
-        "MlpPolicy", optioned_rooms(2), gamma=0.9, **{"replay_buffer_class": OptionReplayBuffer, **TINY, **RANDOM}
-    )
-    model.learn(200)
-    return model
+    return model_of(optioned_rooms(2), algorithm).learn(200)
 
 
 def available(model: Any, slot: int) -> npt.NDArray[Any]:

@@ -10,19 +10,18 @@ import pytest
 from stable_baselines3 import DQN
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_options import OptionReplayBuffer, OptionsWrapper, load_model
+from sb3_options import OptionsWrapper, load_model
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.learned_features import LearnedFeatures
+from sb3_options.discovery.discovery import Discovery
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.envs import GridWorld
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.learning.macro_q import MacroQ
-from sb3_options.options.option import SubgoalOption
-from tests.callbacks.test_checkpoint_resuming import check_resumes, keep_all
+from tests.callbacks.doorway import discovered, model_of
+from tests.callbacks.test_checkpoint_resuming import check_resumes
 from tests.support.helpers import equal
-from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, RANDOM, TINY, small_rooms
-
-__all__ = ["keep_all"]
+from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, small_rooms
 
 LEARNING = {"updates": 200, "batch_size": 128}
 """Enough for the distances of two small rooms."""
@@ -36,22 +35,19 @@ def _learned_early(monkeypatch: pytest.MonkeyPatch) -> None:
 NEARER = {**FAST_DISCOVERY, "goal_radius": 1.5}
 
 
-def temporal_rooms(**kwargs: Any) -> OptionsWrapper:
-    return OptionsWrapper(small_rooms(**kwargs), 2, gamma=0.9, feature_map="temporal-distance")
+def temporal_rooms(file: Path | None = None, **kwargs: Any) -> OptionsWrapper:
+    return OptionsWrapper(small_rooms(**kwargs), 2, gamma=0.9, feature_map="temporal-distance", options_file=file)
 
 
 def callback_with(discovery: Mapping[str, Any] | None = None, **kwargs: Any) -> SubgoalDiscoveryCallback:
     return SubgoalDiscoveryCallback({**NEARER, **(discovery or {})}, **{"concepts": {"embedding": LEARNING}, **kwargs})
 
 
-def dqn(env: Any, **kwargs: Any) -> DQN:
-    return DQN("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **{**TINY, **RANDOM, **kwargs})
-
-
-def features_of(callback: SubgoalDiscoveryCallback) -> LearnedFeatures:
-    features = callback._keeper.features
+def parts_of(callback: SubgoalDiscoveryCallback) -> tuple[Discovery, LearnedFeatures]:
+    search, features = callback.discovery, callback._keeper.features
+    assert search is not None
     assert features is not None
-    return features
+    return search, features
 
 
 def places(env: OptionsWrapper, observations: Any) -> Any:
@@ -66,10 +62,9 @@ def test_what_a_map_waits_for_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     env = temporal_rooms()
     callback = callback_with()
     assert callback.why_nothing() == "No training has started."
-    model = dqn(env, learning_starts=10_000, buffer_size=200)
+    model = model_of(env, learning_starts=10_000, buffer_size=200)
     model.learn(1_000, callback)
-    assert callback.discovery is not None
-    n = callback.discovery.diary.n
+    n = parts_of(callback)[0].diary.n
     assert n >= 1
     assert (callback.why_nothing() or "").endswith(f"gradient steps; {n} have ended, 0 are done. Train for longer.")
     callback.max_new_options = 0
@@ -80,18 +75,16 @@ def test_what_a_map_waits_for_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_doorway_is_found_without_coordinates(observation: str) -> None:
     env = temporal_rooms(observation=observation)
     callback = callback_with(max_new_options=1, option_settings={"initiation_steps": 8, "grow": True})
-    dqn(env, learning_starts=10_000, buffer_size=200).learn(2_500, callback)
+    model_of(env, learning_starts=10_000, buffer_size=200).learn(2_500, callback)
     (found,) = callback.discoveries
-    search = callback.discovery
-    assert search is not None
+    search, _ = parts_of(callback)
     place = places(env, search.found[0].observation)[0]
     assert np.abs(place - DOORWAY).sum() <= 1
     # It was learned on since, and everything moved along.
     phi = env.bank.feature_map
     assert isinstance(phi, LearnedMap)
     assert phi.learned > 1
-    option = env.bank[found.slot]
-    assert isinstance(option, SubgoalOption)
+    option = discovered(env.bank, found.slot)
     assert option.termination(search.found[0].observation) == [1.0]  # type: ignore[arg-type]  # it has one
     for labelled in search.database:
         np.testing.assert_allclose(labelled.features, phi(labelled.trajectory.states), atol=0.002)
@@ -106,18 +99,15 @@ def test_options_move_along() -> None:
     model = MacroQ(env, gamma=0.9, seed=0)
     model.learn(1_500, callback)
     (found,) = callback.discoveries
-    before = env.bank[found.slot]
-    assert isinstance(before, SubgoalOption)
-    search, features = callback.discovery, features_of(callback)
-    assert search is not None
+    before = discovered(env.bank, found.slot)
+    search, features = parts_of(callback)
     states = np.unique(np.concatenate([np.asarray(t.trajectory.states) for t in search.database]), axis=0)
     centres = before.initiation_set.points
     own = [any((row == centres).all(axis=1)) for row in env.concept_features(states)]
     was_inside = before.initiation(states)
     features.learner.n_trajectories = 0  # so that it is due
     assert features.learn_if_due(search, callback._keeper.options)
-    after = env.bank[found.slot]
-    assert isinstance(after, SubgoalOption)
+    after = discovered(env.bank, found.slot)
     assert np.abs(after.subgoal.points - before.subgoal.points).max() > 0.01
     assert len(after.initiation_set.points) == len(centres)
     inside = after.initiation(states)
@@ -131,10 +121,8 @@ def test_a_narrowed_initiation_set_keeps_its_observations() -> None:
     callback = callback_with(max_new_options=1)
     MacroQ(env, gamma=0.9, seed=0).learn(1_500, callback)
     (found,) = callback.discoveries
-    option = env.bank[found.slot]
-    assert isinstance(option, SubgoalOption)
-    search, features = callback.discovery, features_of(callback)
-    assert search is not None
+    option = discovered(env.bank, found.slot)
+    search, features = parts_of(callback)
     points = option.initiation_set.points
     narrowed = dataclasses.replace(option.initiation_set, points=points[:-1])
     *_, last = search.database
@@ -151,22 +139,20 @@ def test_a_file_holds_the_map(tmp_path: Path) -> None:
     env = temporal_rooms()
     callback = callback_with(max_new_options=1)
     callback.save_path = tmp_path / "options.safetensors"
-    model = dqn(env, learning_starts=10_000, buffer_size=200)
+    model = model_of(env, learning_starts=10_000, buffer_size=200)
     model.learn(1_500, callback)
     assert callback.discoveries
     model.save(tmp_path / "model.zip")
     states = np.eye(45, dtype=np.float32)
     for file in ("options.safetensors", "model.zip"):
-        fresh = OptionsWrapper(
-            small_rooms(), 2, gamma=0.9, feature_map="temporal-distance", options_file=tmp_path / file
-        )
+        fresh = temporal_rooms(tmp_path / file)
         assert len(fresh.bank) == 1
     assert equal(fresh.concept_features(states), env.concept_features(states))
     np.testing.assert_array_equal(fresh.available(states), env.available(states))
     loaded = load_model(DQN, tmp_path / "model.zip", temporal_rooms())
     again = callback_with(max_new_options=0)
     loaded.learn(600, again)
-    assert features_of(again).map.fixed
+    assert parts_of(again)[1].map.fixed
     np.testing.assert_array_equal(again.bank.available(states), env.available(states))
 
 
@@ -177,7 +163,7 @@ def test_cut_and_resumed_is_never_interrupted(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("sb3_options.embedding.learner.STEPS_BETWEEN", 1)
     brief = {**LEARNING, "updates": 40}
     callbacks, _ = check_resumes(
-        lambda: dqn(DummyVecEnv([temporal_rooms])),
+        lambda: model_of(DummyVecEnv([temporal_rooms])),
         lambda: [callback_with(concepts={"embedding": brief}, option_settings={"grow": True})],
         tmp_path,
         cuts=(0.35, 0.6),
@@ -186,7 +172,7 @@ def test_cut_and_resumed_is_never_interrupted(tmp_path: Path, monkeypatch: pytes
     callback = callbacks[0]
     assert isinstance(callback, SubgoalDiscoveryCallback)
     assert callback.discoveries
-    assert features_of(callback).map.learned > 1
+    assert parts_of(callback)[1].map.learned > 1
 
 
 @pytest.mark.parametrize(
@@ -199,4 +185,4 @@ def test_cut_and_resumed_is_never_interrupted(tmp_path: Path, monkeypatch: pytes
 )
 def test_what_needs_features_that_stay_is_refused(kwargs: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"^A learned feature map moves .* pass OptionsWrapper\(feature_map=\.\.\.\)"):
-        dqn(temporal_rooms()).learn(10, callback_with(**kwargs))
+        model_of(temporal_rooms()).learn(10, callback_with(**kwargs))

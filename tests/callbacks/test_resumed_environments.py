@@ -17,11 +17,9 @@ from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.environments import refusal
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.envs.minigrid import make as make_minigrid
-from tests.callbacks.test_checkpoint_resuming import check_resumes, discovering, keep_all, model_of, trained
+from tests.callbacks.test_checkpoint_resuming import check_resumes, discovering, model_of, trained
 from tests.execution.test_repeating import Growing
 from tests.support.sb3_helpers import TAXI, make_optioned_rooms
-
-__all__ = ["keep_all"]
 
 GAMMA = 0.9
 

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stable_baselines3 import DQN
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from sb3_options import OptionReplayBuffer, OptionsWrapper
+from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, RANDOM, TINY, optioned_rooms
+from tests.callbacks.doorway import model_of
+from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, optioned_rooms
 
 NEVER_ENDS: dict[str, Any] = {"continuing": True, "max_steps": None}
 
@@ -32,10 +32,7 @@ PEAKS: dict[str, Any] = {
 def learned(env: Any, settings: dict[str, Any] = PEAKS, **kwargs: Any) -> SubgoalDiscoveryCallback:
     """A callback that has seen 4,000 random steps."""
     callback = SubgoalDiscoveryCallback(settings, max_new_options=1)
-    model = DQN(
-        "MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **TINY | RANDOM | {"seed": 1} | kwargs
-    )
-    model.learn(4000, callback=callback)
+    model_of(env, seed=1, **kwargs).learn(4000, callback=callback)
     return callback
 
 

@@ -12,38 +12,18 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options import MacroQ, OptionDQN, OptionsWrapper
 from sb3_options.callbacks import CheckpointCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.checkpoints.file import read
 from sb3_options.execution.exploration import CappedActions
 from sb3_options.learning import heads
-from tests.callbacks.test_checkpoint_resuming import check_resumes, keep_all
+from tests.callbacks.doorway import N_PRIMITIVE, finds_nothing, model_of, with_option
+from tests.callbacks.test_checkpoint_resuming import check_resumes
 from tests.callbacks.test_installer import option_from
 from tests.support.helpers import steady_option
-from tests.support.sb3_helpers import RANDOM, TINY, env_of, optioned_rooms
-
-__all__ = ["keep_all"]
-
-N_PRIMITIVE = 4
-DISCOUNT = 0.9
-
-
-def finds_nothing() -> SubgoalDiscoveryCallback:
-    return SubgoalDiscoveryCallback(max_new_options=0)
-
+from tests.support.sb3_helpers import env_of, optioned_rooms
 
 both = pytest.mark.parametrize("callback", [PrimitiveStepsCallback, finds_nothing])
-
-
-def with_option() -> OptionsWrapper:
-    env = optioned_rooms(2)
-    env.bank.add(steady_option(1, max_duration=3))
-    return env
-
-
-def model_of(env: Any, algorithm: Any = DQN, **kwargs: Any) -> Any:
-    own = {"replay_buffer_class": OptionReplayBuffer, **kwargs}
-    return algorithm("MlpPolicy", env, **{"gamma": DISCOUNT, **TINY, **RANDOM, **own})
 
 
 def rows_of(model: Any, slot: int = 0) -> int:
@@ -87,7 +67,7 @@ class TestEmptied:
     @both
     def test_is_forgotten_by_a_table(self, callback: Any, caplog: pytest.LogCaptureFixture) -> None:
         env = with_option()
-        model = MacroQ(env, gamma=DISCOUNT, seed=0)
+        model = MacroQ(env, gamma=0.9, seed=0)
         with torch.no_grad():
             model.policy.weights[:, N_PRIMITIVE] = 1.0
         before_the_first_step(model, callback())
@@ -154,7 +134,7 @@ class TestCheckpoints:
 @pytest.mark.parametrize("algorithm", [DQN, PPO])
 def test_counting_alone_leaves_the_head_of_an_option_as_it_was_initialised(algorithm: Any) -> None:
     env = with_option()
-    model = model_of(env) if algorithm is DQN else PPO("MlpPolicy", env, gamma=DISCOUNT, n_steps=64, device="cpu")
+    model = model_of(env) if algorithm is DQN else PPO("MlpPolicy", env, gamma=0.9, n_steps=64, device="cpu")
     layer, _ = heads.option_outputs(model.policy)[0]
     expected = layer.weight[:5].clone()
     before_the_first_step(model, PrimitiveStepsCallback())
@@ -182,11 +162,8 @@ def test_environments_with_different_options_are_refused(callback: Any) -> None:
 @pytest.mark.parametrize(
     ("other", "what"),
     [
-        (lambda: OptionsWrapper(optioned_rooms(2).env, 2, gamma=DISCOUNT, max_runs=3), "max_runs: None in the first"),
-        (
-            lambda: OptionsWrapper(optioned_rooms(2).env, 2, gamma=DISCOUNT, feature_map=np.asarray),
-            "feature maps: environment in",
-        ),
+        (lambda: OptionsWrapper(optioned_rooms(2).env, 2, gamma=0.9, max_runs=3), "max_runs: None in the first"),
+        (lambda: OptionsWrapper(optioned_rooms(2).env, 2, gamma=0.9, feature_map=np.asarray), "feature maps: environm"),
     ],
 )
 def test_environments_that_differ_are_refused_for_discovery(other: Callable[[], OptionsWrapper], what: str) -> None:
