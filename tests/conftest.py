@@ -1,5 +1,6 @@
 import gc
 import os
+from collections.abc import Callable, Sequence
 
 # Two cores, and small tensors: more threads are slower, and sums over several threads need not repeat bit for bit.
 # Set before torch is imported, so that the process that only distributes the tests need not import it.
@@ -22,3 +23,20 @@ def pytest_collection_finish() -> None:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """A command that ends in an error: its exit status, and the one line that it says on stderr."""
+    from sb3_options import cli  # for a few tests only
+
+    def run(*words: str, codes: Sequence[int] = (1,)) -> str:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stopped:
+            cli.main([*words])
+        said = capsys.readouterr().err
+        assert stopped.value.code in codes, said
+        assert len(said.strip().splitlines()) == 1, said
+        return said
+
+    return run

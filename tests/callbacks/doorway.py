@@ -58,16 +58,17 @@ def banks(venv: VecEnv) -> list[OptionBank]:
     return cast("list[OptionBank]", venv.get_attr("bank"))
 
 
+def content(bank: OptionBank) -> list[Any]:
+    """What the discovered options of a bank are made of."""
+    options = [(i, bank[i]) for i in bank.filled]
+    return [
+        (i, o.name, o.max_duration, o.subgoal.points.tolist(), sorted(map(tuple, o.initiation_set.points.tolist())),
+         [a.tobytes() for a in o.option_policy.arrays().values()])
+        for i, o in options if isinstance(o, SubgoalOption)
+    ]  # fmt: skip
+
+
 def same_options(banks: list[OptionBank]) -> bool:
     """Whether all banks hold equal discovered options in the same slots, and at least one."""
-
-    def content(bank: OptionBank) -> list[Any]:
-        options = [(i, bank[i]) for i in bank.filled]
-        return [
-            (i, o.name, o.max_duration, o.subgoal.points.tolist(), sorted(map(tuple, o.initiation_set.points.tolist())),
-             [a.tobytes() for a in o.option_policy.arrays().values()])
-            for i, o in options if isinstance(o, SubgoalOption)
-        ]  # fmt: skip
-
     first = content(banks[0])
     return bool(first) and all(content(bank) == first for bank in banks)

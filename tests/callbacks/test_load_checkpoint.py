@@ -11,7 +11,7 @@ from sb3_options.checkpoints.file import read
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from sb3_options.discovery.methods.visits import RandomPlaces
 from tests.callbacks.test_checkpoint_resuming import Callbacks, discovering, model_of, venv_of
-from tests.support.sb3_helpers import optioned_rooms
+from tests.support.sb3_helpers import env_of, optioned_rooms
 
 
 class TestLoadCheckpoint:
@@ -72,10 +72,8 @@ class TestLoadCheckpoint:
         model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
         model, same = model_of("PPO", venv_of()), [discovering(), CheckpointCallback(tmp_path)]
         load_checkpoint(tmp_path, model, same)
-        venv = model.get_env()
-        assert venv is not None
         model.gamma = 0.5
-        venv.set_attr("gamma", 0.5)
+        env_of(model).set_attr("gamma", 0.5)
         with pytest.raises(ValueError, match=r"^The checkpoint is of training with gamma=.*, the model has gamma=0\.5"):
             model.learn(64, same)
 

@@ -11,22 +11,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.learning.rollout_buffer import n_decisions
-from tests.callbacks.test_primitive_steps import counting
-
-
-class Rollouts(BaseCallback):
-    """Keeps how many decisions and primitive steps each rollout had."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.sizes: list[tuple[int, int]] = []
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # it is on-policy
-        self.sizes.append((buffer.buffer_size, int(buffer.durations.sum())))
+from tests.callbacks.test_primitive_steps import Rollouts, counting
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C])

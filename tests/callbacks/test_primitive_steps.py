@@ -13,9 +13,10 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
-from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options import OptionReplayBuffer, OptionsWrapper
+from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.execution.above import monitor_primitive_steps
+from tests.callbacks.doorway import finds_nothing
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import RANDOM, StepLog, optioned_rooms, small_rooms
 
@@ -41,22 +42,10 @@ def corridor() -> OptionsWrapper:
     return optioned_rooms(map=f"{'#' * 50}\n#S{'.' * 46}G#\n{'#' * 50}", max_steps=30, step_reward=-1.0)
 
 
-def everywhere(observations: Any) -> Any:
-    return np.ones(len(observations), dtype=bool)
-
-
-def nowhere(observations: Any) -> Any:
-    return np.zeros(len(observations), dtype=bool)
-
-
-def to_and_fro(observations: Any) -> Any:
-    return np.zeros(len(observations), dtype=int)
-
-
 def masked_and_monitored() -> Any:
     """What a worker process calls."""
     rooms = corridor()
-    rooms.bank.add(Option(everywhere, to_and_fro, nowhere, max_duration=7))
+    rooms.bank.add(steady_option(max_duration=7))
     return Monitor(ActionMasker(rooms, lambda env: env.get_wrapper_attr("action_masks")()))
 
 
@@ -72,6 +61,23 @@ class Spy(BaseCallback):
         self.counted.append(self.num_timesteps)
         self.durations.append(sum(info["option"]["duration"] for info in self.locals["infos"]))
         return True
+
+
+class Rollouts(BaseCallback):
+    """Keeps how many decisions and primitive steps each rollout had, and how many steps were taken at its end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sizes: list[tuple[int, int]] = []
+        self.ends: list[int] = []
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # it is on-policy
+        self.sizes.append((buffer.buffer_size, int(buffer.durations.sum())))
+        self.ends.append(self.num_timesteps)
 
 
 @pytest.mark.parametrize("n_envs", [1, 3])
@@ -168,32 +174,17 @@ class TestMonitor:
         assert bare.envs[0] is monitor
 
 
-class Updates(BaseCallback):
-    """Keeps the primitive steps that had been taken, and the learning rate, at the end of every rollout."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.steps: list[int] = []
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        self.steps.append(self.num_timesteps)
-
-
-@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, lambda: SubgoalDiscoveryCallback(max_new_options=0)])
+@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, finds_nothing])
 def test_a_rollout_ends_with_the_budget(callback: Any, caplog: pytest.LogCaptureFixture) -> None:
     """Where SB3's own last rollout would have ended, had every action been one step."""
     env = optioned_rooms(2)
     env.bank.add(steady_option(3, max_duration=40))
-    updates = Updates()
+    rollouts = Rollouts()
     model = PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
-    model.learn(3000, callback=[callback(), updates])
+    model.learn(3000, callback=[callback(), rollouts])
     assert 3008 <= model.num_timesteps < 3008 + 40  # 47 rollouts of 64 steps
-    assert updates.steps
-    assert updates.steps[-1] <= 3008
-    assert model._n_updates == len(updates.steps)
+    assert rollouts.ends[-1] <= 3008
+    assert model._n_updates == len(rollouts.ends)
     assert caplog.text == ""
     model.learn(100, callback=callback(), reset_num_timesteps=False)
     assert "ended before its first update: its rollouts of n_steps=64 decisions" in caplog.text
@@ -204,7 +195,7 @@ def test_two_callbacks_that_count_count_once(order: int) -> None:
     env = optioned_rooms(2)
     env.bank.add(steady_option(3, max_duration=4))
     model, spy = dqn(env, **RANDOM), Spy()
-    both: list[BaseCallback] = [PrimitiveStepsCallback(), SubgoalDiscoveryCallback(max_new_options=0)]
+    both: list[BaseCallback] = [PrimitiveStepsCallback(), finds_nothing()]
     model.learn(300, callback=[*both[::order], spy])
     assert model.num_timesteps == sum(spy.durations)
     assert spy.counted == np.cumsum(spy.durations).tolist()

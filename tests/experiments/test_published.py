@@ -25,9 +25,6 @@ def test_diffusion_time_by_hand() -> None:
     assert diffusion_time(LINE, []) == pytest.approx(np.mean(times))
 
 
-"""Ten cells in a row; two of the four moves lead against walls."""
-
-
 def test_covering_options_cover_sooner() -> None:
     found = measures.covering(60, 0)
     assert found["covering"][32] < found["eigenoptions"][32] < found["eigenoptions"][0]

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.test_cli_run import Stopping, shell
+from tests.integration.test_cli_run import shell
+from tests.support.runs import Refused
 
 
-class TestErrors(Stopping):
+class TestErrors:
     @pytest.mark.parametrize(
         ("wrong", "said"),
         [
@@ -16,11 +17,8 @@ class TestErrors(Stopping):
             ("Taxi-v9", "Environment version `v9` for environment `Taxi` doesn't exist"),
         ],
     )
-    def test_a_mistyped_environment(
-        self, wrong: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        text = self.stopped(capsys, "--env", wrong, "--tensorboard-log", str(tmp_path / "runs"))
-        assert said in text
+    def test_a_mistyped_environment(self, wrong: str, said: str, tmp_path: Path, refused: Refused) -> None:
+        assert said in refused("--env", wrong, "--tensorboard-log", str(tmp_path / "runs"))
         assert not (tmp_path / "runs").exists()
 
     @pytest.mark.parametrize(
@@ -33,9 +31,9 @@ class TestErrors(Stopping):
         ],
     )
     def test_an_environment_that_cannot_be_made_leaves_no_folder(
-        self, args: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+        self, args: list[str], expected: str, tmp_path: Path, refused: Refused
     ) -> None:
-        assert expected in self.stopped(capsys, *args, "--tensorboard-log", str(tmp_path / "runs"))
+        assert expected in refused(*args, "--tensorboard-log", str(tmp_path / "runs"))
         assert not (tmp_path / "runs").exists()
 
     def test_from_the_shell(self, tmp_path: Path) -> None:

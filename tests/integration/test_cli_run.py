@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import zipfile
 from pathlib import Path
@@ -10,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from sb3_options import OptionBank, cli
+from sb3_options import OptionBank
 from sb3_options.cli import parse
 from sb3_options.runs import config as configs
 from sb3_options.runs.evaluation import evaluate_run
 from sb3_options.runs.video import CAPTION_HEIGHT
 from tests.support import processes
-from tests.support.runs import train
+from tests.support.runs import Refused, train
 from tests.support.sb3_helpers import read_video
 
 ROOT = Path(__file__).parents[2]
@@ -63,21 +64,18 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """One training from the shell, with evaluation and a configuration file."""
     folder = tmp_path_factory.mktemp("cli")
     (folder / "config.yml").write_text(CONFIG)
-    done = shell(
-        "--config",
-        "config.yml",
-        "--eval-freq",
-        "700",
-        "--eval-episodes",
-        "2",
-        "--seed",
-        "1",
-        "--n-timesteps",
-        "8000",
-        cwd=folder,
-    )
+    words = "--config config.yml --eval-freq 700 --eval-episodes 2 --seed 1 --n-timesteps 8000"
+    done = shell(*words.split(), cwd=folder)
     assert done.returncode == 0, done.stderr
     return Run(folder / "runs" / "dqn" / "sb3_options-TwoRooms-v0_1", done.stdout)
+
+
+@pytest.fixture
+def copied(run: Run, tmp_path: Path) -> Path:
+    """A folder with what evaluation needs of the run."""
+    for name in ("config.yml", "model.zip", "options.safetensors"):
+        shutil.copy(run.folder / name, tmp_path)
+    return tmp_path
 
 
 class TestTrain:
@@ -87,8 +85,7 @@ class TestTrain:
         assert len(events) == 1
         assert names - events == {
             "config.yml", "model.zip", "best_model.zip", "options.safetensors", "subgoals.png", "evaluations.npz",
-            "monitor/0.monitor.csv", "checkpoints/000000000000.safetensors",
-            "checkpoints/finished.yml",
+            "monitor/0.monitor.csv", "checkpoints/000000000000.safetensors", "checkpoints/finished.yml",
         }  # fmt: skip
 
 
@@ -132,24 +129,10 @@ class TestEvaluate:
         assert len({play(seed).steps.mean for seed in range(3, 7)}) > 1
 
 
-class Stopping:
-    """Commands that end in an error."""
-
-    def stopped(self, capsys: pytest.CaptureFixture[str], *args: str) -> str:
-        with pytest.raises(SystemExit) as stopped:
-            cli.main(list(args))
-        assert stopped.value.code == 1
-        captured = capsys.readouterr()
-        return " ".join(captured.err.split())
-
-
-class TestErrors(Stopping):
-    def test_options_that_do_not_fit_leave_no_folder(
-        self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+class TestErrors:
+    def test_options_that_do_not_fit_leave_no_folder(self, run: Run, tmp_path: Path, refused: Refused) -> None:
         def text(options: Path, *args: str) -> str:
-            logs = ["--tensorboard-log", str(tmp_path / "runs")]
-            return self.stopped(capsys, "--options", str(options), *args, *logs)
+            return refused("--options", str(options), *args, "--tensorboard-log", str(tmp_path / "runs"))
 
         file = run.folder / "options.safetensors"
         assert f"{tmp_path / 'no'}" in text(tmp_path / "no")
@@ -157,19 +140,14 @@ class TestErrors(Stopping):
         assert "config.yml is no options file" in text(run.folder / "config.yml")
         assert "model.zip does not fit: its options were made for" in text(run.folder / "model.zip")
         assert "slot 0" in text(run.folder, "--max-options", "0")
-        assert f"{file} does not fit: its options were made for observations Box(0.0, 1.0, (45,), float32)" in text(
-            run.folder
-        )
+        said = f"{file} does not fit: its options were made for observations Box(0.0, 1.0, (45,), float32)"
+        assert said in text(run.folder)
         assert not (tmp_path / "runs").exists()
 
     @pytest.mark.parametrize("missing", ["config.yml", "model.zip", "options.safetensors"])
-    def test_a_run_without_its_files(
-        self, missing: str, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        for name in {"config.yml", "model.zip", "options.safetensors"} - {missing}:
-            (tmp_path / name).write_bytes((run.folder / name).read_bytes())
-        text = self.stopped(capsys, "evaluate", str(tmp_path))
-        assert f"No such file or directory: '{tmp_path / missing}'" in text
+    def test_a_run_without_its_files(self, missing: str, copied: Path, refused: Refused) -> None:
+        (copied / missing).unlink()
+        assert f"No such file or directory: '{copied / missing}'" in refused("evaluate", str(copied))
 
     @pytest.mark.parametrize(
         ("name", "spoil", "expected"),
@@ -182,28 +160,21 @@ class TestErrors(Stopping):
         ],
     )  # fmt: skip
     def test_a_run_with_spoilt_files(
-        self, name: str, spoil: Any, expected: str, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+        self, name: str, spoil: Any, expected: str, copied: Path, refused: Refused
     ) -> None:
-        for kept in ("config.yml", "model.zip", "options.safetensors"):
-            (tmp_path / kept).write_bytes((run.folder / kept).read_bytes())
-        (tmp_path / name).write_bytes(spoil((tmp_path / name).read_bytes()))
-        assert expected in self.stopped(capsys, "evaluate", str(tmp_path), "--episodes", "1")
+        (copied / name).write_bytes(spoil((copied / name).read_bytes()))
+        assert expected in refused("evaluate", str(copied), "--episodes", "1")
 
-    def test_a_stranger_s_model_runs_nothing(
-        self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_a_stranger_s_model_runs_nothing(self, copied: Path, refused: Refused) -> None:
         """A pickle in the place of the weights is refused; SB3's own ``load`` would unpickle the data beside them."""
         import pickle
 
         class Evil:
             def __reduce__(self) -> Any:
-                return os.mkdir, (str(tmp_path / "ran"),)
+                return os.mkdir, (str(copied / "ran"),)
 
-        for kept in ("config.yml", "model.zip", "options.safetensors"):
-            (tmp_path / kept).write_bytes((run.folder / kept).read_bytes())
-        with zipfile.ZipFile(tmp_path / "model.zip", "w") as archive:
+        with zipfile.ZipFile(copied / "model.zip", "w") as archive:
             archive.writestr("data", json.dumps({"policy_class": {":serialized:": ""}}))
             archive.writestr("policy.pth", pickle.dumps(Evil(), protocol=2))
-        text = self.stopped(capsys, "evaluate", str(tmp_path), "--episodes", "1")
-        assert "model.zip is damaged" in text
-        assert not (tmp_path / "ran").exists()
+        assert "model.zip is damaged" in refused("evaluate", str(copied), "--episodes", "1")
+        assert not (copied / "ran").exists()

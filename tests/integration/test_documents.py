@@ -69,6 +69,13 @@ def named(pages: Sequence[Path]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("page", pages, ids=name_of)
 
 
+def ran(code: str, folder: Path) -> str:
+    """What a program prints in a new process."""
+    result = processes.python("-c", code, cwd=folder)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
 def test_readme_fits_on_one_screen() -> None:
     assert len(text_of(README).splitlines()) <= 60
 
@@ -79,8 +86,7 @@ def test_python_runs_as_pasted_but_shorter(page: Path, tmp_path: Path) -> None:
     steps = [int(n) for n in re.findall(r"learn\(([\d_]+)", program)]
     assert max(steps, default=0) <= MOST_STEPS, "end the line with `# tested with N`"
     strict = "import warnings; warnings.simplefilter('error', UserWarning)"  # in the place of the title
-    result = processes.python("-c", f"{strict}{program}\n{CHECKS.get(name_of(page), '')}", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    ran(f"{strict}{program}\n{CHECKS.get(name_of(page), '')}", tmp_path)
 
 
 @pytest.mark.slow
@@ -102,10 +108,9 @@ def test_the_program_of_the_readme_discovers_the_doorway(tmp_path: Path) -> None
     (program,) = python_of(README)
     seeded = program.replace('"n_steps": 512', '"n_steps": 512, "seed": 0')
     assert seeded != program
-    result = processes.python("-c", f"import torch; torch.set_num_threads(1)\n{seeded}", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    where = re.search(r"^Option 0: reach (\d+), (\d+), after", result.stdout)
-    assert where is not None, result.stdout
+    said = ran(f"import torch; torch.set_num_threads(1)\n{seeded}", tmp_path)
+    where = re.search(r"^Option 0: reach (\d+), (\d+), after", said)
+    assert where is not None, said
     assert abs(int(where[1]) - 10) + abs(int(where[2]) - 5) <= 1
 
 
@@ -114,16 +119,14 @@ def test_the_taxi_discovers_its_passenger(tmp_path: Path) -> None:
     first, taxi, *_ = python_of(ROOT / "docs/guide/concept-features.md")
     imports_and_settings = first.partition("env =")[0]
     check = "assert 'passenger at 1, 0, 0' in [found.where for found in callback.discoveries]"
-    result = processes.python("-c", f"{imports_and_settings}{taxi}\n{check}", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    ran(f"{imports_and_settings}{taxi}\n{check}", tmp_path)
 
 
 @pytest.mark.slow
 def test_the_example_of_an_environment_discovers_its_gate(tmp_path: Path) -> None:
     (example,) = (code for code in python_of(ROOT / "docs/guide/your-environment.md") if "Warehouse" in code)
     check = "assert np.abs(callback.discoveries[0].subgoal - [6, 3]).max() <= 2"
-    result = processes.python("-c", f"{example}\n{check}", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    ran(f"{example}\n{check}", tmp_path)
 
 
 def test_what_a_package_index_shows_leads_nowhere_else() -> None:
@@ -181,9 +184,7 @@ def test_commands_of_studies_are_understood(page: Path) -> None:
             continue
         package = ROOT / found[1].replace(".", "/")
         module = importlib.import_module(f"{found[1]}.__main__" if package.is_dir() else found[1])
-        flags = next(
-            getattr(module, name) for name in ("Study", "Benchmark", "Tuning", "Ratios") if hasattr(module, name)
-        )
+        flags = next(vars(module)[name] for name in ("Study", "Benchmark", "Tuning", "Ratios") if name in vars(module))
         words = [word.split("|")[-1] for word in shlex.split(found[2])]
         if words:
             tyro.cli(flags, args=words if "--out" in words else [*words, "--out", "FOLDER"])
@@ -207,14 +208,8 @@ def test_every_abstraction_is_where_the_page_says() -> None:
 def test_numbers_of_studies_are_those_of_their_results(tmp_path: Path) -> None:
     pages = {name: Path(shutil.copy(STUDIES / f"{name}.md", tmp_path)) for name in ("paper", "pioneer", "deep")}
     paper_report.main(paper_report.Report(RESULTS / "paper.json", pages["paper"]))
-    pioneer_report.main(
-        pioneer_report.Report(
-            RESULTS / "pioneer.json",
-            RESULTS / "pioneer_benchmark.json",
-            RESULTS / "pioneer-twin.json",
-            pages["pioneer"],
-        )
-    )
+    pioneer, benchmark, twin = (RESULTS / f"{n}.json" for n in ("pioneer", "pioneer_benchmark", "pioneer-twin"))
+    pioneer_report.main(pioneer_report.Report(pioneer, benchmark, twin, pages["pioneer"]))
     deep = ("transfer-ppo", "transfer-dqn", "same-ppo", "same-dqn", "transfer-ppo-control", "same-ppo-control")
     deep_report.main(deep_report.Report(tuple(RESULTS / f"deep-{name}.json" for name in deep), pages["deep"]))
     for name, page in pages.items():

@@ -14,6 +14,7 @@ from sb3_options.callbacks.checkpoints import CheckpointCallback
 from sb3_options.execution.workers import WorkerLostError
 from sb3_options.runs import folder as runs
 from sb3_options.runs import training
+from tests.support.runs import Refused
 
 FLAGS = (
     "ppo --n-envs 2 --vec-env subproc --n-timesteps 1024 --n-steps 64 --batch-size 64 --n-epochs 1 --net-arch 8 "
@@ -40,20 +41,13 @@ def run_in(folder: Path) -> Path:
     return run
 
 
-def test_resumed_after_a_worker_was_killed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_resumed_after_a_worker_was_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused) -> None:
     alone, victim = tmp_path / "alone", tmp_path / "the victim"
     monkeypatch.setattr(training, "CheckpointCallback", KillsOnce)
     monkeypatch.setattr(KillsOnce, "killed", [0])  # that was that
     cli.main([*FLAGS.split(), "--tensorboard-log", str(alone)])
     monkeypatch.setattr(KillsOnce, "killed", [])
-    capsys.readouterr()
-    with pytest.raises(SystemExit) as stopped:
-        cli.main([*FLAGS.split(), "--tensorboard-log", str(victim)])
-    assert stopped.value.code == cli.TRY_AGAIN
-    said = capsys.readouterr().err
-    assert len(said.strip().splitlines()) == 1
+    said = refused(*FLAGS.split(), "--tensorboard-log", str(victim), codes=[cli.TRY_AGAIN])
     assert f"Environment 1 of 2 is gone: its worker process (pid {KillsOnce.killed[0]}) was killed by SIGKILL" in said
     assert f"What was learned until then is kept in {run_in(victim)}" in said
     assert (run_in(victim) / runs.MODEL).is_file()
@@ -65,13 +59,10 @@ def test_resumed_after_a_worker_was_killed(
 
 
 def test_a_worker_that_an_error_ended_is_nothing_to_try_again(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     def lost(*_: Any, **__: Any) -> None:
         raise WorkerLostError("Environment 0 of 2 is gone.", "Make new ones.")
 
     monkeypatch.setattr(training, "train", lost)
-    with pytest.raises(SystemExit) as stopped:
-        cli.main(FLAGS.split())
-    assert stopped.value.code == 1
-    assert capsys.readouterr().err == "Error: Environment 0 of 2 is gone.\n"
+    assert refused(*FLAGS.split()) == "Error: Environment 0 of 2 is gone.\n"

@@ -20,6 +20,7 @@ from sb3_options.runs import folder as runs
 from sb3_options.runs import training
 from sb3_options.runs.folder import held
 from sb3_options.runs.training import is_finished
+from tests.support.runs import Refused
 
 CONFIG = """
 algo: ppo
@@ -57,8 +58,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def cut_off(run: Path, folder: Path, *, before_the_last: bool = False) -> Path:
     """The run as a process leaves it that is killed after the last checkpoint, or after the one before."""
-    copy = folder / run.name
-    shutil.copytree(run, copy)
+    copy = Path(shutil.copytree(run, folder / run.name))
     for name in (runs.MODEL, runs.SUBGOALS):
         (copy / name).unlink()
     if before_the_last:
@@ -71,9 +71,8 @@ def test_a_resumed_run_is_the_run_that_was_not_cut_off(run: Path, before_the_las
     copy = cut_off(run, tmp_path, before_the_last=before_the_last)
     cli.main(["resume", str(copy), "--no-progress"])
     assert {what: those for what, those in differences(run, copy).items() if those} == {}
-    points = scalars(copy)
+    points, told = scalars(copy), texts(copy)
     assert points
-    told = texts(copy)
     steps = [[step for step, _ in of_tag] for of_tag in points.values()]
     steps += [[step for step, _ in of_tag] for of_tag in told.values()]
     assert all(len(set(of_tag)) == len(of_tag) for of_tag in steps), "doubled points"
@@ -97,9 +96,8 @@ def test_an_interrupted_run_goes_on_where_it_ended(
 ) -> None:
     flags = ["--n-timesteps", "1200", "--checkpoint-freq", "700", "--eval-freq", "150", "--eval-episodes", "1"]
     flags += ["--env-kwargs", "max_steps:50", "--no-progress", "--device", "cpu"]
-    flags += (
-        ["--n-envs", "1", "--n-steps", "64", "--batch-size", "64"] if algo == "ppo" else ["--learning-starts", "50"]
-    )
+    own = {"ppo": "--n-envs 1 --n-steps 64 --batch-size 64", "dqn": "--learning-starts 50"}
+    flags += own[algo].split()
     alone, victim = (tmp_path / name / algo / "sb3_options-TwoRooms-v0_1" for name in ("alone", "victim"))
     cli.main([algo, *flags, "--tensorboard-log", str(alone.parents[1])])
 
@@ -138,8 +136,7 @@ def zipped_steps(model: Path) -> int:
 
 class TestFinished:
     def test_goes_on_for_longer(self, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        copy = tmp_path / run.name
-        shutil.copytree(run, copy)
+        copy = Path(shutil.copytree(run, tmp_path / run.name))
         steps = int(next(iter(CheckpointFolder(run / runs.CHECKPOINTS))).stem)
         cli.main(["resume", str(copy), "--no-progress", "--n-timesteps", "2600"])
         said = capsys.readouterr().out
@@ -151,19 +148,11 @@ class TestFinished:
         assert is_finished(kept, copy)
 
 
-class TestRefuses:
-    def refusal(self, capsys: pytest.CaptureFixture[str], *args: str) -> str:
-        with pytest.raises(SystemExit) as stopped:
-            cli.main(["resume", *args])
-        assert stopped.value.code == 1
-        return capsys.readouterr().err
-
-    def test_a_run_that_is_being_trained(self, run: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-        copy = cut_off(run, tmp_path)
-        with held(copy):
-            said = self.refusal(capsys, str(copy), "--no-progress")
-        assert f"{copy} is being trained by another process: wait" in said
-        assert not (copy / runs.MODEL).exists()
+def test_a_run_that_is_being_trained_is_refused(run: Path, refused: Refused, tmp_path: Path) -> None:
+    copy = cut_off(run, tmp_path)
+    with held(copy):
+        assert f"{copy} is being trained by another process: wait" in refused("resume", str(copy), "--no-progress")
+    assert not (copy / runs.MODEL).exists()
 
 
 def test_an_environment_that_does_not_tell_its_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

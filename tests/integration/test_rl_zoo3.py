@@ -109,18 +109,12 @@ def test_train_enjoy_and_record(tmp_path: Path, algo: str) -> None:
 def test_which_run_is_played(tmp_path: Path) -> None:
     for name in ("Rooms-v0_1", "Rooms-v0_2", "a-Rooms-v0_1"):
         (tmp_path / "dqn" / name).mkdir(parents=True)
-    arguments = ["--algo", "dqn", "-f", str(tmp_path), "--no-render", "-n", "10"]
-    assert loaded_model("enjoy", [*arguments, "--env", "Rooms-v0"]) == tmp_path / "dqn" / "Rooms-v0_2" / "Rooms-v0.zip"
-    assert (
-        loaded_model("enjoy", [*arguments, "--env", "a/Rooms-v0"])
-        == tmp_path / "dqn" / "a-Rooms-v0_1" / "a-Rooms-v0.zip"
-    )
-    assert (
-        loaded_model("enjoy", [*arguments, "--env", "Rooms-v0", "--exp-id", "1"])
-        == tmp_path / "dqn" / "Rooms-v0_1" / "Rooms-v0.zip"
-    )
-    for player in ("record_video", "push_to_hub"):
-        assert (
-            loaded_model(player, [*arguments, "--env", "Rooms-v0", "--exp-id", "-1"])
-            == tmp_path / "dqn" / "Rooms-v0.zip"
-        )
+    for player, words, played in (
+        ("enjoy", "Rooms-v0", "Rooms-v0_2/Rooms-v0.zip"),
+        ("enjoy", "a/Rooms-v0", "a-Rooms-v0_1/a-Rooms-v0.zip"),
+        ("enjoy", "Rooms-v0 --exp-id 1", "Rooms-v0_1/Rooms-v0.zip"),
+        ("record_video", "Rooms-v0 --exp-id -1", "Rooms-v0.zip"),
+        ("push_to_hub", "Rooms-v0 --exp-id -1", "Rooms-v0.zip"),
+    ):
+        arguments = ["--algo", "dqn", "-f", str(tmp_path), "--no-render", "-n", "10", "--env", *words.split()]
+        assert loaded_model(player, arguments) == tmp_path / "dqn" / played

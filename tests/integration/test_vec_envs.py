@@ -21,9 +21,10 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
 )
 
-from sb3_options import OptionBank, OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.options.option import SubgoalOption
+from tests.callbacks.doorway import banks, content, discovered
 from tests.support.sb3_helpers import RANDOM, TINY, fast_callback, optioned_rooms, small_rooms
 
 SLOT_0 = 4
@@ -65,9 +66,7 @@ def doorway() -> SubgoalOption:
     """The option that discovery makes of the doorway."""
     callback = fast_callback()
     dqn(DummyVecEnv([optioned_rooms])).learn(1500, callback=callback)
-    option = callback.bank[0]
-    assert isinstance(option, SubgoalOption)
-    return option.bind(None)
+    return discovered(callback.bank).bind(None)
 
 
 Row = tuple[Any, ...]
@@ -121,12 +120,14 @@ def stacked(venv: VecEnv) -> VecEnv:
     return VecFrameStack(venv, 3)
 
 
+def normalized(venv: VecEnv) -> VecEnv:
+    return VecNormalize(venv, gamma=0.9, clip_reward=np.inf)
+
+
 AROUND: dict[str, Callable[[VecEnv], VecEnv]] = {
-    "VecNormalize": lambda venv: VecNormalize(venv, gamma=0.9, clip_reward=np.inf),
-    "VecNormalize(VecFrameStack)": lambda venv: VecNormalize(stacked(venv), gamma=0.9, clip_reward=np.inf),
-    "VecCheckNan(VecNormalize(VecFrameStack))": lambda venv: VecCheckNan(
-        VecNormalize(stacked(venv), gamma=0.9, clip_reward=np.inf), raise_exception=True
-    ),
+    "VecNormalize": normalized,
+    "VecNormalize(VecFrameStack)": lambda venv: normalized(stacked(venv)),
+    "VecCheckNan(VecNormalize(VecFrameStack))": lambda venv: VecCheckNan(normalized(stacked(venv)), True),
 }
 
 
@@ -193,8 +194,7 @@ class TestStackedFrames:
 
     def test_normalised_beneath_stacked_is_refused_where_it_is_stored(self) -> None:
         with rooms("dummy", 1) as bare:
-            normalized = VecNormalize(bare, gamma=0.9, norm_reward=False)
-            model = dqn(stacked(normalized), replay_buffer_kwargs={"macro_q": False})
+            model = dqn(stacked(normalized(bare)), replay_buffer_kwargs={"macro_q": False})
             with pytest.raises(ValueError, match="shape"):  # SB3 stores what VecNormalize was given
                 model.learn(2000, callback=fast_callback())
 
@@ -211,25 +211,13 @@ class TestEvaluationEnvironment:
             model: BaseAlgorithm = ppo(train_env) if algorithm is PPO else dqn(train_env)
             evaluation = EvalCallback(eval_env, n_eval_episodes=1, eval_freq=500, verbose=0)
             discovery = fast_callback(option_settings={"grow": True})
-            versions: set[bytes] = set()
+            versions: set[str] = set()
 
             def compare(_: Spy) -> None:
-                banks: list[OptionBank] = [*train_env.get_attr("bank"), *eval_env.get_attr("bank")]
-                states = [content(bank) for bank in banks]
-                assert all(state == states[0] for state in states)
-                versions.add(states[0])
+                states = {repr(content(bank)) for bank in (*banks(train_env), *banks(eval_env))}
+                assert len(states) == 1
+                versions.update(states)
 
             model.learn(3000, callback=[evaluation, discovery, Spy(compare)])
             assert len(discovery.discoveries) == 1
             assert len(versions) > 2  # none, the first, one that has learned further
-
-
-def content(bank: OptionBank) -> bytes:
-    """What the discovered options of a bank are made of."""
-    parts = [repr(bank.filled).encode()]
-    for slot in bank.filled:
-        option = bank[slot]
-        assert isinstance(option, SubgoalOption)
-        parts += [option.subgoal.points.tobytes(), option.initiation_set.points.tobytes()]
-        parts += [array.tobytes() for array in option.option_policy.arrays().values()]
-    return b"".join(parts)

@@ -1,7 +1,6 @@
 """Evaluation while training: limited, judged by the rule of success; the best model is kept with its options."""
 
 import shutil
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,34 +15,14 @@ from sb3_options.runs.compare import read_run
 from sb3_options.runs.config import configure
 from sb3_options.runs.evaluation import evaluate_run
 from sb3_options.runs.training import EVAL_STEPS
+from tests.runs.conftest import Register
 from tests.support.helpers import CountingEnv
 from tests.support.runs import train
-
-Register = Callable[..., list[int]]
-
-
-@pytest.fixture
-def register() -> Iterator[Register]:
-    """Registers an environment that ends after some steps, and counts the steps of all its copies."""
-
-    def register(*, ends_after: float, in_step: Callable[[int], object] = lambda _: None, **spec: Any) -> list[int]:
-        steps = [0]
-
-        def step(env: CountingEnv, action: int) -> Any:
-            steps[0] += 1
-            in_step(steps[0])
-            return np.array([float(env.time)]), 1.0, env.time >= ends_after, False, {}
-
-        gym.register("Evaluated-v0", lambda: CountingEnv(step=step), **spec)  # type: ignore[arg-type]  # no arguments
-        return steps
-
-    yield register
-    gym.registry.pop("Evaluated-v0", None)
 
 
 def settings(tmp_path: Path, algo: str = "dqn", **kwargs: Any) -> Any:
     common: dict[str, Any] = {"eval_freq": 50, "progress": False, "device": "cpu", "tensorboard_log": tmp_path}
-    return configure(algo=algo, env="Evaluated-v0", **(common | kwargs))
+    return configure(algo=algo, env="Counted-v0", **(common | kwargs))
 
 
 @pytest.mark.parametrize(
@@ -67,11 +46,11 @@ def test_success_is_logged_by_the_rule(rule: str, told: str, rate: float | None,
         says = over and (told == "always" or (told == "of successes" and good))
         return np.array([float(env.time)]), 1.0, over, False, {"is_success": good} if says else {}
 
-    gym.register("Evaluated-v0", lambda: CountingEnv(step=step))  # type: ignore[arg-type]  # no arguments
+    gym.register("Counted-v0", lambda: CountingEnv(step=step))  # type: ignore[arg-type]  # no arguments
     try:
         folder = train(settings(tmp_path, success=rule, n_envs=1, n_timesteps=400, eval_episodes=4))
     finally:
-        gym.registry.pop("Evaluated-v0")
+        gym.registry.pop("Counted-v0")
     curves = read_run(folder).curves
     if rate is None:
         assert "success" not in curves["eval"] | curves["rollout"]

@@ -3,19 +3,17 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
 import minigrid  # noqa: F401  # registers its environments, before a test takes a copy of the registry
 import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
-from sb3_options import cli
 from sb3_options.runs import folder as runs
 from sb3_options.runs.algorithms import make_model
 from sb3_options.runs.config import configure
-from tests.support.helpers import CountingEnv
+from tests.runs.conftest import Register
+from tests.support.runs import Refused
 
 
 @pytest.mark.parametrize("algo", ["dqn", "a2c"])
@@ -50,12 +48,11 @@ def test_a_run_folder_that_is_discarded_takes_an_empty_one_along(tmp_path: Path)
 
 @pytest.mark.parametrize("algo", ["qrdqn", "maskableppo"])
 def test_an_algorithm_that_is_not_installed_leaves_no_folder(
-    algo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    algo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    with pytest.raises(SystemExit, match="1"):
-        cli.main([algo, "--tensorboard-log", str(tmp_path / "made")])
-    assert "PPO needs sb3-contrib: pip install" in capsys.readouterr().err.replace("QRDQN", "PPO")
+    said = refused(algo, "--tensorboard-log", str(tmp_path / "made"))
+    assert "PPO needs sb3-contrib: pip install" in said.replace("QRDQN", "PPO")
     assert not (tmp_path / "made").exists()
 
 
@@ -112,14 +109,10 @@ def test_no_lock_is_written_through_a_link(tmp_path: Path) -> None:
         (["dqn", "--device", "foo"], "device"),
     ],
 )
-def test_what_cannot_be_is_said_in_one_line(flags: list[str], said: str, tmp_path: Path, capsys: Any) -> None:
-    gym.register("Small-v0", lambda: CountingEnv(terminate_at=5))  # type: ignore[arg-type]  # it takes no arguments
-    try:
-        with pytest.raises(SystemExit, match=r"1|2"):
-            cli.main([*flags, "--env", "Small-v0", "--no-progress", "--tensorboard-log", str(tmp_path)])
-    finally:
-        gym.registry.pop("Small-v0")
-    error = capsys.readouterr().err
-    assert said in error
-    assert len(error.strip().splitlines()) == 1
+def test_what_cannot_be_is_said_in_one_line(
+    flags: list[str], said: str, register: Register, tmp_path: Path, refused: Refused
+) -> None:
+    register(ends_after=5)
+    command = [*flags, "--env", "Counted-v0", "--no-progress", "--tensorboard-log", str(tmp_path)]
+    assert said in refused(*command, codes=[1, 2])
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]

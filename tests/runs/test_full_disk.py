@@ -8,21 +8,18 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-import numpy as np
 import pytest
 
-from sb3_options import OptionBank, cli
+from sb3_options import OptionBank
 from sb3_options.atomic import atomic_write
 from sb3_options.checkpoints.file import CheckpointFolder, read
 from sb3_options.runs import folder as runs
-from sb3_options.runs.config import TrainConfig, configure
-from tests.support.helpers import CountingEnv
+from tests.runs.conftest import Register
+from tests.support.runs import Refused
 
 resource = pytest.importorskip("resource", reason="limits are of POSIX")
 
-FULL_AT, EPISODE, BUDGET = 60, 10, 400
-"""Primitive steps: when the disk is full, the length of an episode, the end of training."""
+FLAGS = "dqn --env Counted-v0 --no-progress --tensorboard-log"
 
 
 @pytest.fixture
@@ -37,53 +34,24 @@ def limit() -> Iterator[Callable[[int | None], None]]:
     set_limit(None)
 
 
-@pytest.fixture
-def when() -> Iterator[Callable[[dict[int, Callable[[], None]]], None]]:
-    """Registers an environment that calls functions in its steps of these numbers."""
-
-    def register(functions: dict[int, Callable[[], None]]) -> None:
-        steps = 0
-
-        def step(env: CountingEnv, action: int) -> Any:
-            nonlocal steps
-            steps += 1
-            functions.get(steps, lambda: None)()
-            return np.array([float(env.time)]), 0.0, env.time >= EPISODE, False, {}
-
-        gym.register("Full-v0", lambda: CountingEnv(step=step))  # type: ignore[arg-type]  # it takes no arguments
-
-    yield register
-    gym.registry.pop("Full-v0", None)
-
-
-def settings(tmp_path: Path, **kwargs: Any) -> TrainConfig:
-    common: dict[str, Any] = {"progress": False, "device": "cpu", "tensorboard_log": tmp_path, "n_timesteps": BUDGET}
-    return configure(algo="dqn", env="Full-v0", **(common | kwargs))
-
-
-def test_options_are_saved_where_the_model_cannot_be(limit: Any, when: Any, tmp_path: Path, capsys: Any) -> None:
-    when({FULL_AT: lambda: limit(30_000)})  # which the logs do not come up to
-    with pytest.raises(SystemExit) as stopped:
-        cli.main(
-            ["dqn", "--env", "Full-v0", "--no-progress", "--tensorboard-log", str(tmp_path), "--n-timesteps", "90"]
-        )
+def test_options_are_saved_where_the_model_cannot_be(
+    limit: Any, register: Register, tmp_path: Path, refused: Refused
+) -> None:
+    register(lambda step: limit(30_000) if step == 60 else None)  # which the logs do not come up to
+    error = refused(*FLAGS.split(), str(tmp_path), "--n-timesteps", "90")
     limit(None)
-    assert stopped.value.code == 1
-    error = capsys.readouterr().err
     assert "File too large: '" in error
     assert "model.zip'" in error
-    assert len(error.strip().splitlines()) == 1
     (folder,) = tmp_path.glob("dqn/*")
     assert {path.name for path in folder.iterdir() if path.is_file()} == {runs.CONFIG, runs.OPTIONS}
 
 
-def test_a_run_that_cannot_begin_leaves_no_folder(limit: Any, when: Any, tmp_path: Path, capsys: Any) -> None:
-    when({})
+def test_a_run_that_cannot_begin_leaves_no_folder(limit: Any, register: Any, tmp_path: Path, refused: Refused) -> None:
+    register()
     limit(1_000)
-    with pytest.raises(SystemExit):
-        cli.main(["dqn", "--env", "Full-v0", "--no-progress", "--tensorboard-log", str(tmp_path / "runs")])
+    said = refused(*FLAGS.split(), str(tmp_path / "runs"))
     limit(None)
-    assert "config.yml'" in capsys.readouterr().err
+    assert "config.yml'" in said
     assert not list(tmp_path.iterdir())
 
 

@@ -5,12 +5,10 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-import numpy as np
 import pytest
 from stable_baselines3 import DQN
 
@@ -22,7 +20,7 @@ from sb3_options.runs import folder as runs
 from sb3_options.runs import training
 from sb3_options.runs.config import configure
 from sb3_options.runs.training import SIGNALS, Interrupts
-from tests.support.helpers import CountingEnv
+from tests.runs.conftest import Register
 from tests.support.runs import train
 
 AT_STEP = 60
@@ -47,40 +45,21 @@ def handlers() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.fixture
-def counting() -> Iterator[Callable[..., None]]:
-    """Registers an environment that calls something in its every step, told its number."""
-
-    def register(in_step: Callable[[int], object]) -> None:
-        steps = 0
-
-        def step(env: CountingEnv, action: int) -> Any:
-            nonlocal steps
-            steps += 1
-            in_step(steps)
-            return np.array([float(env.time)]), 0.0, env.time >= 10, False, {}
-
-        gym.register("Interrupted-v0", lambda: CountingEnv(step=step))  # type: ignore[arg-type]  # it takes no arguments
-
-    yield register
-    gym.registry.pop("Interrupted-v0", None)
-
-
 def command_line(tmp_path: Path, *more: str) -> list[str]:
-    return ["dqn", "--env", "Interrupted-v0", "--no-progress", "--tensorboard-log", str(tmp_path), *more]
+    return ["dqn", "--env", "Counted-v0", "--no-progress", "--tensorboard-log", str(tmp_path), *more]
 
 
 def trained(tmp_path: Path, **kwargs: Any) -> Path:
     return train(
-        configure(algo="dqn", env="Interrupted-v0", progress=False, device="cpu", tensorboard_log=tmp_path, **kwargs)
+        configure(algo="dqn", env="Counted-v0", progress=False, device="cpu", tensorboard_log=tmp_path, **kwargs)
     )
 
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_ends_training_after_its_step(
-    number: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    number: int, register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    counting(lambda step: send(number) if step == AT_STEP else None)
+    register(lambda step: send(number) if step == AT_STEP else None)
     folder = trained(tmp_path, checkpoint_freq=0)
     said = capfd.readouterr()
     assert f"Interrupted after {AT_STEP} primitive steps" in said.out
@@ -93,9 +72,9 @@ def test_a_signal_ends_training_after_its_step(
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_ends_training_at_a_checkpoint(
-    number: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    number: int, register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    counting(lambda step: send(number) if step == AT_STEP + 1 else None)
+    register(lambda step: send(number) if step == AT_STEP + 1 else None)
     folder = trained(tmp_path)
     said = capfd.readouterr()
     ends = AT_STEP + 4  # train_freq
@@ -107,10 +86,10 @@ def test_a_signal_ends_training_at_a_checkpoint(
 
 
 def test_a_rollout_that_takes_too_long_is_not_waited_for(
-    counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(training, "PATIENCE", 0.2)
-    counting(lambda step: send() if step == AT_STEP else time.sleep(0.05 * (step > AT_STEP)))
+    register(lambda step: send() if step == AT_STEP else time.sleep(0.05 * (step > AT_STEP)))
     folder = trained(tmp_path, train_freq=50)
     said = capfd.readouterr().out
     assert 100 > DQN.load(folder / "model.zip").num_timesteps > AT_STEP
@@ -118,14 +97,14 @@ def test_a_rollout_that_takes_too_long_is_not_waited_for(
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_the_exit_status_is_that_of_shells(number: int, counting: Any, tmp_path: Path) -> None:
-    counting(lambda step: send(number) if step == AT_STEP else None)
+def test_the_exit_status_is_that_of_shells(number: int, register: Register, tmp_path: Path) -> None:
+    register(lambda step: send(number) if step == AT_STEP else None)
     with pytest.raises(SystemExit) as stopped:
         cli.main(command_line(tmp_path))
     assert stopped.value.code == 128 + number
 
 
-def test_code_that_takes_all_exceptions_does_not_take_it(counting: Any, tmp_path: Path) -> None:
+def test_code_that_takes_all_exceptions_does_not_take_it(register: Register, tmp_path: Path) -> None:
     """As ``copyreg`` does in what SB3's ``DummyVecEnv`` copies."""
 
     def swallow(step: int) -> None:
@@ -135,14 +114,14 @@ def test_code_that_takes_all_exceptions_does_not_take_it(counting: Any, tmp_path
         except BaseException:
             pass
 
-    counting(swallow)
+    register(swallow)
     assert DQN.load(trained(tmp_path) / "model.zip").num_timesteps == AT_STEP
 
 
-def test_where_it_was_ignored_as_in_a_script_s_background(counting: Any, tmp_path: Path) -> None:
+def test_where_it_was_ignored_as_in_a_script_s_background(register: Register, tmp_path: Path) -> None:
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        counting(lambda step: send() if step == AT_STEP else None)
+        register(lambda step: send() if step == AT_STEP else None)
         assert DQN.load(trained(tmp_path) / "model.zip").num_timesteps == AT_STEP
         assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     finally:
@@ -150,7 +129,7 @@ def test_where_it_was_ignored_as_in_a_script_s_background(counting: Any, tmp_pat
 
 
 def test_a_second_one_does_not_wait_for_the_step(
-    counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def twice(step: int) -> None:
         if step == AT_STEP:
@@ -158,7 +137,7 @@ def test_a_second_one_does_not_wait_for_the_step(
             send()
             pytest.fail("went on")
 
-    counting(twice)
+    register(twice)
     folder = trained(tmp_path)
     assert f"Interrupted after {AT_STEP - 1} primitive steps" in capfd.readouterr().out
     assert DQN.load(folder / "model.zip").num_timesteps == AT_STEP - 1
@@ -167,7 +146,7 @@ def test_a_second_one_does_not_wait_for_the_step(
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("finished", [True, False])
 def test_while_saving_it_changes_nothing(
-    number: int, *, finished: bool, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str],
+    number: int, *, finished: bool, register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     save = DQN.save
@@ -178,7 +157,7 @@ def test_while_saving_it_changes_nothing(
         send(number)
 
     monkeypatch.setattr(DQN, "save", interrupted)
-    counting(lambda step: send() if step == AT_STEP and not finished else None)
+    register(lambda step: send() if step == AT_STEP and not finished else None)
     folder = trained(tmp_path, n_timesteps=2 * AT_STEP)
     said = capfd.readouterr()
     assert ("Finished after" if finished else "Interrupted after") in said.out
@@ -192,10 +171,10 @@ def test_while_saving_it_changes_nothing(
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("where", ["save", "make_model", "SubgoalDiscoveryCallback"])
 def test_before_the_first_step_nothing_is_left(
-    where: str, times: int, counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str],
+    where: str, times: int, register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    counting(lambda step: pytest.fail("took a step"))
+    register(lambda step: pytest.fail("took a step"))
     module: Any = configs if where == "save" else training
     original = getattr(module, where)
 
@@ -206,32 +185,32 @@ def test_before_the_first_step_nothing_is_left(
 
     monkeypatch.setattr(module, where, interrupted)
     with pytest.raises(SystemExit) as stopped:
-        cli.main(["--env", "Interrupted-v0", "--no-progress", "--tensorboard-log", str(tmp_path / "runs")])
+        cli.main(["--env", "Counted-v0", "--no-progress", "--tensorboard-log", str(tmp_path / "runs")])
     assert stopped.value.code == 130
     assert "Interrupted" in capfd.readouterr().err.splitlines()[-1]
     assert not list(tmp_path.iterdir())
 
 
 def test_a_worker_that_the_signal_ended_as_well_is_no_error(
-    counting: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def lost(step: int) -> None:
         if step == AT_STEP:
             send(signal.SIGTERM)
             raise WorkerLostError("Environment 0 of 1 is gone")
 
-    counting(lost)
+    register(lost)
     assert (trained(tmp_path) / "model.zip").is_file()
     assert f"Interrupted after {AT_STEP - 1} primitive steps" in capfd.readouterr().out
 
 
 @pytest.mark.parametrize(("at", "kept"), [(1, False), (AT_STEP, True)])
-def test_an_error_keeps_what_was_learned(at: int, *, kept: bool, counting: Any, tmp_path: Path) -> None:
+def test_an_error_keeps_what_was_learned(at: int, *, kept: bool, register: Register, tmp_path: Path) -> None:
     def fail(step: int) -> None:
         if step == at:
             raise ValueError("the environment's own error")
 
-    counting(fail)
+    register(fail)
     with pytest.raises(ValueError, match="the environment's own error") as error:
         trained(tmp_path)
     notes = getattr(error.value, "__notes__", [])

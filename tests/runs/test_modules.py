@@ -7,6 +7,7 @@ import pytest
 from sb3_options import OptionBank, cli
 from sb3_options.cli import parse
 from sb3_options.runs import config as configs
+from tests.support.runs import Refused
 
 MODULE = """
 import gymnasium as gym
@@ -53,12 +54,6 @@ def command_line(tmp_path: Path, *more: str) -> list[str]:
     return ["dqn", *short, "--env-kwargs", "observation:xy", "max_steps:100", *more]
 
 
-def refused(capsys: pytest.CaptureFixture[str], args: list[str]) -> str:
-    with pytest.raises(SystemExit) as stopped:
-        cli.main(args)
-    return " ".join(f"{capsys.readouterr().err} {stopped.value.code}".split())
-
-
 @pytest.mark.parametrize("workers", [[], ["--vec-env", "subproc"]], ids=["here", "subproc"])
 def test_a_run_with_both_is_trained_and_evaluated(
     workers: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -74,18 +69,18 @@ def test_a_run_with_both_is_trained_and_evaluated(
     assert "2 episodes" in capsys.readouterr().out
 
 
-def test_a_file_that_names_one_is_refused_with_the_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_names_one_is_refused_with_the_flag(tmp_path: Path, refused: Refused) -> None:
     cli.main(command_line(tmp_path, *FLAGS))
     (run,) = (tmp_path / "runs" / "dqn").iterdir()
     for command in (["evaluate", str(run)], ["--config", str(run / "config.yml")]):
-        text = refused(capsys, command)
+        text = refused(*command, codes=[1, 2])
         assert f"{run / 'config.yml'} names the wrapper 'users_module:Named', which would import a module." in text
         assert "If you trust it, pass --env-wrapper users_module:Named." in text
-        text = refused(capsys, [*command, *FLAGS[:2]])
+        text = refused(*command, *FLAGS[:2], codes=[1, 2])
         assert "names the feature map 'users_module:cell', which would import a module." in text
     assert parse(["--config", str(run / "config.yml"), *FLAGS]).env_wrapper == "users_module:Named"
     (run / "config.yml").write_text("feature-map: users_module:cell\n")
-    assert "names the feature map 'users_module:cell'" in refused(capsys, ["--config", str(run / "config.yml")])
+    assert "names the feature map 'users_module:cell'" in refused("--config", str(run / "config.yml"), codes=[1, 2])
 
 
 @pytest.mark.parametrize(
@@ -95,14 +90,14 @@ def test_a_file_that_names_one_is_refused_with_the_flag(tmp_path: Path, capsys: 
         ("--feature-map", "laplacien", "--feature-map takes module:name of a class or function, got 'laplacien'"),
         ("--env-wrapper", "no_such_module:A", "Error: No module named 'no_such_module'"),
         ("--env", "no_such_module:A-v0", "Error: No module named 'no_such_module'"),
-        ("--feature-map", "importing_module:a", "Error: No module named 'no_such_package' 1"),
+        ("--feature-map", "importing_module:a", "Error: No module named 'no_such_package'\n"),
         ("--env-wrapper", "users_module:Bare", "Error: Bare() takes no arguments"),
         ("--feature-map", "users_module:a", "--feature-map takes module:name of"),
         ("--feature-map", "users_module:number", "--feature-map takes module:name of"),
     ],
 )
 def test_what_names_nothing_leaves_no_folder(
-    flag: str, value: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flag: str, value: str, expected: str, tmp_path: Path, refused: Refused
 ) -> None:
-    assert expected in refused(capsys, command_line(tmp_path, flag, value))
+    assert expected in refused(*command_line(tmp_path, flag, value), codes=[1, 2])
     assert not (tmp_path / "runs").exists()
