@@ -1,5 +1,6 @@
 """An environment that calls a test back."""
 
+import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -9,26 +10,24 @@ import pytest
 
 from tests.support.helpers import CountingEnv
 
-Register = Callable[..., list[int]]
+Register = Callable[..., None]
 
 
 @pytest.fixture
 def register() -> Iterator[Register]:
-    """Registers an environment that calls something in its every step, told its number, and counts those of all copies.
+    """Registers an environment that calls something in its every step, told its number among those of all copies.
 
     Its episodes end after some steps, each of which is rewarded with 1.
     """
 
-    def register(in_step: Callable[[int], object] = bool, *, ends_after: float = 10, **spec: Any) -> list[int]:
-        steps = [0]
+    def register(in_step: Callable[[int], object] = bool, *, ends_after: float = 10, **spec: Any) -> None:
+        numbers = itertools.count(1)
 
         def step(env: CountingEnv, action: int) -> Any:
-            steps[0] += 1
-            in_step(steps[0])
+            in_step(next(numbers))
             return np.array([float(env.time)]), 1.0, env.time >= ends_after, False, {}
 
         gym.register("Counted-v0", lambda: CountingEnv(step=step), **spec)  # type: ignore[arg-type]  # no arguments
-        return steps
 
     yield register
     gym.registry.pop("Counted-v0", None)
