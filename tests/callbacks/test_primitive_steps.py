@@ -13,7 +13,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
-from sb3_options import OptionReplayBuffer, OptionsWrapper
+from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.execution.above import monitor_primitive_steps
 from tests.callbacks.doorway import finds_nothing
@@ -42,10 +42,18 @@ def corridor() -> OptionsWrapper:
     return optioned_rooms(map=f"{'#' * 50}\n#S{'.' * 46}G#\n{'#' * 50}", max_steps=30, step_reward=-1.0)
 
 
+def ones(observations: Any) -> Any:
+    return np.ones(len(observations), dtype=np.int64)
+
+
+def zeros(observations: Any) -> Any:
+    return np.zeros(len(observations), dtype=np.int64)
+
+
 def masked_and_monitored() -> Any:
     """What a worker process calls."""
     rooms = corridor()
-    rooms.bank.add(steady_option(max_duration=7))
+    rooms.bank.add(Option(ones, zeros, zeros, max_duration=7))
     return Monitor(ActionMasker(rooms, lambda env: env.get_wrapper_attr("action_masks")()))
 
 
