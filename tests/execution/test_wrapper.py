@@ -17,10 +17,9 @@ from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.slots import SlotState, Traits
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, ball, equal, steady_option, table_option
+from tests.support.helpers import CountingEnv, ball, equal, random_state, steady_option, table_option
+from tests.support.sb3_helpers import TAXI
 
-# Versions of gymnasium differ in the versions of Taxi they still make.
-TAXI = next(env_id for env_id in ("Taxi-v3", "Taxi-v4") if env_id in gym.registry)
 GRIDWORLDS = [f"sb3_options/{name}-v0" for name in ("TwoRooms", "FourRooms", "KeyDoor")]
 ENVS: list[tuple[str, dict[str, Any]]] = [
     *((env_id, {"observation": kind}) for env_id, kind in itertools.product(GRIDWORLDS, ("onehot", "xy", "image"))),
@@ -30,10 +29,6 @@ ENVS: list[tuple[str, dict[str, Any]]] = [
 env_ids = pytest.mark.parametrize(
     ("env_id", "kwargs"), ENVS, ids=[f"{i.removeprefix('sb3_options/')}-{k.get('observation', '')}" for i, k in ENVS]
 )
-
-
-def random_state(env: gym.Env[Any, Any]) -> Any:
-    return env.unwrapped.np_random.bit_generator.state
 
 
 @env_ids
@@ -129,15 +124,10 @@ def test_its_arguments_are_recorded_as_they_are(tmp_path: Any) -> None:
 
     file = tmp_path / "options.safetensors"
     OptionsWrapper(CountingEnv(), 2, feature_map=Uncopied()).bank.save(file)
-    given: dict[str, Any] = {
-        "max_options": 2,
-        "gamma": 1.0,
-        "feature_map": Uncopied(),
-        "options_file": file,
-        "max_runs": 3,
-    }
-    env = OptionsWrapper(CountingEnv(), **given, check_finite=True)
-    assert env._saved_kwargs == given | {"check_finite": True}
+    given: dict[str, Any] = {"max_options": 2, "gamma": 1.0, "feature_map": Uncopied(), "options_file": file}
+    given |= {"max_runs": 3, "check_finite": True}
+    env = OptionsWrapper(CountingEnv(), **given)
+    assert env._saved_kwargs == given
     assert (env.gamma, env.bank.observation_size, env.bank.feature_size) == (1.0, 1, 3)
     assert env.bank.signature is not None
     assert env.bank.signature[::2] == (str(env.observation_space), "given")

@@ -1,6 +1,5 @@
 """MacroQ against episodes computed by hand, against value iteration, and against itself elsewhere."""
 
-from collections import Counter
 from collections.abc import Sequence
 from inspect import signature
 from pathlib import Path
@@ -29,39 +28,29 @@ from tests.support.sb3_helpers import optioned_rooms, small_rooms
 ALPHA, GAMMA = 0.5, 0.9
 
 
-class Script(gym.Env[int, int]):
-    """States 0, 1, 2, … of a line of 6, one step on whatever the action; rewards are the numbers of the steps.
+def line(**flags: Any) -> gym.Env[Any, Any]:
+    """`CountingEnv` with states 0, 1, 2, … of a line of 6 for observations."""
+    return discrete(CountingEnv(**flags))
 
-    Args:
-        terminate_at: The state that ends an episode.
-        truncate_at: The step that cuts one off.
-    """
 
-    def __init__(self, *, terminate_at: int = -1, truncate_at: int = -1) -> None:
-        self.action_space: Any = spaces.Discrete(2)
-        self.observation_space: Any = spaces.Discrete(6)
-        self.terminate_at, self.truncate_at, self.state = terminate_at, truncate_at, 0
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[int, dict[str, Any]]:
-        super().reset(seed=seed)
-        self.state = 0
-        return 0, {}
-
-    def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
-        self.state += 1
-        return self.state, float(self.state), self.state == self.terminate_at, self.state == self.truncate_at, {}
+def discrete(env: CountingEnv) -> gym.Env[Any, Any]:
+    return gym.wrappers.TransformObservation(env, lambda seen: int(seen[0]), spaces.Discrete(6))
 
 
 class Recorder(BaseCallback):
-    """Keeps the table as it is after every call of ``step``."""
+    """Keeps the table as it is after every call of ``step``, and notes when rollouts end."""
 
     def __init__(self) -> None:
         super().__init__()
         self.tables: list[npt.NDArray[np.float64]] = []
+        self.ended: list[int] = []
 
     def _on_step(self) -> bool:
         self.tables.append(table_of(self.model).copy())
         return True
+
+    def _on_rollout_end(self) -> None:
+        self.ended.append(self.num_timesteps)
 
 
 def table_of(model: Any) -> npt.NDArray[np.float64]:
@@ -88,7 +77,7 @@ def scripted(env: gym.Env[Any, Any], actions: Sequence[int], monkeypatch: pytest
 
 
 def test_one_step_of_q_learning(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, tables = scripted(Script(terminate_at=2), [1, 0], monkeypatch)
+    _, tables = scripted(line(terminate_at=2), [1, 0], monkeypatch)
     # Q(0, 1) = 0.1 → halfway to 1 + 0.9 · max(1.0, 1.1) = 1.99.
     assert tables[0][0].tolist() == pytest.approx([0.0, (0.1 + 1.99) / 2], rel=1e-14)
     # Nothing follows the end: Q(1, 0) = 1.0 → halfway to 2.
@@ -118,13 +107,13 @@ def test_what_was_reported_of_an_option_is_what_it_teaches(ended: bool, availabl
 
 
 def test_a_time_limit_is_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, tables = scripted(Script(truncate_at=1), [0], monkeypatch)
+    _, tables = scripted(line(truncate_at=1), [0], monkeypatch)
     assert tables[0][0, 0] == pytest.approx(0.5 * (1 + GAMMA * 1.1))
 
 
-def optioned(initiation: Sequence[bool], *, duration: int, **script: int) -> OptionsWrapper:
-    """`Script` with two slots; the second holds an option that takes action 1."""
-    env = OptionsWrapper(Script(**script), 2, gamma=GAMMA)
+def optioned(initiation: Sequence[bool], *, duration: int, **flags: int) -> OptionsWrapper:
+    """`line` with two slots; the second holds an option that takes action 1."""
+    env = OptionsWrapper(line(**flags), 2, gamma=GAMMA)
     env.bank.add(table_option(initiation, [1] * 6, [0.0] * 6, max_duration=duration), 1)
     return env
 
@@ -201,7 +190,7 @@ def test_a_slot_that_has_run_out_is_not_chosen() -> None:
 
 
 def test_greedy_ties_are_broken_evenly_and_epsilon_explores_all() -> None:
-    model = MacroQ(Script(), epsilon=0.0, seed=1)
+    model = MacroQ(line(), epsilon=0.0, seed=1)
     chosen = [model._explore([1.0, 2.0, 2.0, 5.0], [0, 1, 2]) for _ in range(4000)]
     assert np.bincount(chosen).tolist() == pytest.approx([0, 2000, 2000], abs=150)
     model.epsilon = 0.5
@@ -279,23 +268,17 @@ def test_predict_respects_initiation_sets_and_epsilon() -> None:
 def test_arguments_are_kept_and_have_defaults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)  # it is not asked
 
-    defaults = {
-        "learning_rate": 0.05,
-        "gamma": 0.9,
-        "epsilon": 0.1,
-        "tensorboard_log": None,
-        "verbose": 0,
-        "seed": None,
-    }
+    defaults: dict[str, Any] = {"learning_rate": 0.05, "gamma": 0.9, "epsilon": 0.1, "tensorboard_log": None}
+    defaults |= {"verbose": 0, "seed": None}
     given: dict[str, Any] = {"learning_rate": 1e-3, "gamma": 1.0, "epsilon": 0.0, "tensorboard_log": str(tmp_path)}
     given |= {"verbose": 2, "seed": 7, "features": OneHot(9, coded=False)}
-    of_defaults, of_given = MacroQ(Script(), device="meta"), MacroQ(DummyVecEnv([Script] * 3), **given)
+    of_defaults, of_given = MacroQ(line(), device="meta"), MacroQ(DummyVecEnv([line] * 3), **given)
     for model, expected in ((of_defaults, defaults), (of_given, given)):
         assert {name: getattr(model, name) for name in expected} == expected
         assert (str(model.device), model.policy_class, model.policy.features) == ("cpu", LinearPolicy, model.features)
     assert (of_given.n_envs, table_of(of_given).shape, table_of(of_defaults).shape) == (3, (9, 2), (6, 2))
     assert MacroQ(None, _init_setup_model=False).env is None
-    MacroQ(Script(), gamma=0.0, epsilon=1.0)
+    MacroQ(line(), gamma=0.0, epsilon=1.0)
 
 
 def test_one_seed_is_one_training() -> None:
@@ -308,7 +291,7 @@ def test_one_seed_is_one_training() -> None:
 @pytest.mark.parametrize("force_reset", [None, True, False])
 def test_another_environment_is_reset_unless_told_otherwise_and_its_slots_count(force_reset: bool | None) -> None:
     model = MacroQ(optioned([True] * 6, duration=2), gamma=GAMMA, seed=0).learn(2)
-    bare: Any = Script()
+    bare: Any = line()
     bare.action_space = spaces.Discrete(4)
     for env, slots in ((bare, 0), (optioned([True] * 6, duration=2), 2)):
         model._last_obs = np.array([3])
@@ -320,20 +303,18 @@ def test_another_environment_is_reset_unless_told_otherwise_and_its_slots_count(
 
 @pytest.mark.parametrize("tells", [True, False])
 def test_the_log_has_the_names_of_sb3(tells: bool) -> None:
-    class Told(Script):
-        def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
-            *step, _ = super().step(action)
-            return (*step, {"is_success": self.state == 2} if tells else {})  # type: ignore[return-value]  # a star
+    def step(env: CountingEnv, _: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        over = env.time == 2
+        return np.array([env.time]), float(env.time), over, False, {"is_success": over} if tells else {}
 
     written: list[tuple[int, dict[str, Any], dict[str, Any]]] = []
     writer = MagicMock(spec=KVWriter)
     writer.write.side_effect = lambda values, excluded, step: written.append((step, {**values}, {**excluded}))
-    model = MacroQ(Told(terminate_at=2), seed=0)
+    model = MacroQ(line(step=step), seed=0)
     model.set_logger(Logger(None, [writer]))
     model.learn(8, log_interval=2)
-    expected = {"rollout/ep_rew_mean": 3.0, "rollout/ep_len_mean": 2.0} | (
-        {"rollout/success_rate": 1.0} if tells else {}
-    )
+    expected = {"rollout/ep_rew_mean": 3.0, "rollout/ep_len_mean": 2.0}
+    expected |= {"rollout/success_rate": 1.0} if tells else {}
     expected |= {"time/episodes": 2, "time/total_timesteps": 4}
     excluded = {name: ("tensorboard",) if name.startswith("time/") else ("",) for name in expected}
     later = expected | {"time/episodes": 4, "time/total_timesteps": 8}
@@ -352,7 +333,7 @@ def test_arguments_of_learn_are_those_of_sb3() -> None:
 )
 def test_refuses_values_out_of_range(value: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"gamma and epsilon must be in \[0, 1\] and learning_rate positive, got"):
-        MacroQ(Script(), **value)
+        MacroQ(line(), **value)
 
 
 def test_refuses_what_it_cannot_learn() -> None:
@@ -364,45 +345,24 @@ def test_refuses_what_it_cannot_learn() -> None:
         MacroQ(env)
 
 
-class Ring(Script):
+class Ring(CountingEnv):
     """A task without episodes, in which the last action is forbidden."""
 
     def __init__(self) -> None:
-        self.observation_space: Any = gym.spaces.Discrete(12)
-        self.action_space: Any = gym.spaces.Discrete(3)
-        self.taken: Counter[int] = Counter()
-
-    def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
-        self.taken[int(action)] += 1
-        self.state = (self.state + (1 if action else -1)) % 12
-        return self.state, float(self.state == 0), False, False, {}
+        super().__init__(3, step=lambda env, _: (np.array([env.time % 6]), float(env.time % 6 == 0), False, False, {}))
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         return np.array([True, True, False])
 
 
-class Rollouts(BaseCallback):
-    """Notes when rollouts end."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.ended: list[int] = []
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        self.ended.append(self.num_timesteps)
-
-
 def test_where_no_episode_ends_rollouts_do() -> None:
     """Between two of them options are installed and closed, and checkpoints are written."""
-    rollouts = Rollouts()
-    MacroQ(OptionsWrapper(Ring(), 1, gamma=0.9), gamma=0.9, seed=0).learn(3500, callback=rollouts)
-    assert rollouts.ended == [LONGEST_ROLLOUT, 2 * LONGEST_ROLLOUT, 3 * LONGEST_ROLLOUT, 3500]
+    recorder = Recorder()
+    MacroQ(OptionsWrapper(discrete(Ring()), 1, gamma=0.9), gamma=0.9, seed=0).learn(3500, callback=recorder)
+    assert recorder.ended == [LONGEST_ROLLOUT, 2 * LONGEST_ROLLOUT, 3 * LONGEST_ROLLOUT, 3500]
 
 
 def test_actions_that_the_environment_forbids_are_never_taken() -> None:
     env = Ring()
-    MacroQ(OptionsWrapper(env, 1, gamma=0.9), gamma=0.9, epsilon=0.5, seed=0).learn(500)
-    assert set(env.taken) == {0, 1}
+    MacroQ(OptionsWrapper(discrete(env), 1, gamma=0.9), gamma=0.9, epsilon=0.5, seed=0).learn(500)
+    assert set(env.actions) == {0, 1}

@@ -14,15 +14,14 @@ from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
 from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.buffers import RolloutBuffer
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from sb3_options import Option, OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
+from sb3_options import OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import batch_size
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.rollout_buffer import SMDPAdvantages
 from sb3_options.options.option import SubgoalOption
@@ -38,39 +37,27 @@ ENOUGH = 100_000
 
 
 class OneRollout(BaseCallback):
-    """Ends training after the first rollout, and keeps it."""
+    """Ends training after one rollout; keeps it, and what it was computed from as environments and policy gave it."""
 
     buffer: Any = None
-
-    def _on_step(self) -> bool:
-        return self.buffer is None
-
-    def _on_rollout_end(self) -> None:
-        self.steps = self.num_timesteps
-        self.buffer = copy.deepcopy(self.model.rollout_buffer)  # type: ignore[attr-defined]  # of on-policy algorithms
-
-
-class Rollouts(BaseCallback):
-    """Keeps everything that the first rollout was computed from, as the environments and the policy gave it."""
 
     def __init__(self) -> None:
         super().__init__()
         self.steps: list[dict[str, Any]] = []
 
     def _on_training_start(self) -> None:
-        self.buffer: Any = self.model.rollout_buffer  # type: ignore[attr-defined]  # of on-policy algorithms
-        compute = self.buffer.compute_returns_and_advantage
+        buffer: Any = self.model.rollout_buffer  # type: ignore[attr-defined]  # of on-policy algorithms
+        compute = buffer.compute_returns_and_advantage
 
         def spy(last_values: torch.Tensor, dones: Any) -> None:
             self.last_values = last_values.numpy().reshape(-1).copy()
             compute(last_values, dones)
-            self.advantages, self.returns = self.buffer.advantages.copy(), self.buffer.returns.copy()
-            self.rewards = self.buffer.rewards.copy()
+            self.buffer, self.n_steps = copy.deepcopy(buffer), self.num_timesteps
 
-        self.buffer.compute_returns_and_advantage = spy
+        buffer.compute_returns_and_advantage = spy
 
     def _on_step(self) -> bool:
-        if hasattr(self, "advantages"):
+        if self.buffer is not None:
             return False
         infos = self.locals["infos"]
         kept = {
@@ -124,18 +111,12 @@ def optioned_corridor(limit: int) -> gym.Env[Any, Any]:
 def make(algorithm: type[OnPolicyAlgorithm], env: Any, **kwargs: Any) -> OnPolicyAlgorithm:
     policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
     policy_kwargs = {"net_arch": [16]} | ({"lstm_hidden_size": 8} if algorithm is RecurrentPPO else {})
-    settings: dict[str, Any] = {
-        "n_steps": 64,
-        "gamma": GAMMA,
-        "gae_lambda": LAMBDA,
-        "seed": 0,
-        "policy_kwargs": policy_kwargs,
-    } | kwargs
+    settings: dict[str, Any] = {"n_steps": 64, "gamma": GAMMA, "gae_lambda": LAMBDA, "seed": 0} | kwargs
     if algorithm not in (A2C, TRPO):
         settings["n_epochs"] = 1
     if algorithm is not A2C:
         settings["batch_size"] = settings["n_steps"]
-    return algorithm(policy, env, **settings)
+    return algorithm(policy, env, policy_kwargs=policy_kwargs, **settings)
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, RecurrentPPO])
@@ -143,8 +124,8 @@ def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm
     # 13 steps: the option of 7 steps is cut off by the limit again and again.
     venv = DummyVecEnv([lambda: optioned_corridor(13), lambda: optioned_corridor(17)])
     model = make(algorithm, venv)
-    kept = Rollouts()
-    model.learn(ENOUGH, callback=CallbackList([PrimitiveStepsCallback(), kept]))
+    kept = OneRollout()
+    model.learn(ENOUGH, callback=[PrimitiveStepsCallback(), kept])
     assert isinstance(kept.buffer, SMDPAdvantages)
     durations = np.array([s["durations"] for s in kept.steps])
     timeouts = np.array([s["timeout_values"] for s in kept.steps]) != 0
@@ -152,8 +133,9 @@ def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm
     for env in range(2):
         expected = oracle(kept.steps, kept.last_values, env)
         values = np.array([s["values"][env] for s in kept.steps], dtype=np.float64)
-        np.testing.assert_allclose(kept.advantages[:, env], [float(a) for a in expected], rtol=0, atol=1e-6)
-        np.testing.assert_allclose(kept.returns[:, env], [float(a) for a in expected] + values, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(kept.buffer.advantages[:, env], [float(a) for a in expected], rtol=0, atol=1e-6)
+        returns = [float(a) for a in expected] + values
+        np.testing.assert_allclose(kept.buffer.returns[:, env], returns, rtol=0, atol=1e-6)
 
 
 def test_without_options_it_is_the_stock_buffer() -> None:
@@ -179,30 +161,16 @@ def test_without_options_it_is_the_stock_buffer() -> None:
     np.testing.assert_allclose(ours.returns, stock.returns, rtol=0, atol=2e-6)
 
 
-class Journey(gym.Env[Any, int]):
-    """A user's own environment whose actions take times of their own: 1 or 4 steps along a line of 8."""
-
-    def __init__(self) -> None:
-        self.observation_space: Any = gym.spaces.Box(0.0, 8.0, (1,), np.float32)
-        self.action_space: Any = gym.spaces.Discrete(2)
-        self.place = 0
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        self.place = 0
-        return np.array([0.0], np.float32), {}
-
-    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        k = (1, 4)[action]
-        self.place = min(self.place + k, 8)
-        option = {"index": -1, "duration": k, "discount": GAMMA**k}
-        reward = -sum(GAMMA**i for i in range(k))
-        return np.array([self.place], np.float32), reward, self.place == 8, False, {"option": option}
+def journey(env: CountingEnv, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    """A user's own steps, whose actions take times of their own: 1 or 4 steps along a line of 8."""
+    place, k = min(sum((1, 4)[taken] for taken in env.actions), 8), (1, 4)[action]
+    option = {"index": -1, "duration": k, "discount": GAMMA**k}
+    return np.array([place / 8]), -sum(GAMMA**i for i in range(k)), place == 8, False, {"option": option}
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C])
 def test_a_users_own_environment_of_variable_durations(algorithm: Any) -> None:
-    model = make(algorithm, Journey(), n_steps=32)
+    model = make(algorithm, CountingEnv(step=journey), n_steps=32)
     kept = OneRollout()
     model.learn(ENOUGH, callback=[PrimitiveStepsCallback(), kept])
     buffer = kept.buffer
@@ -210,19 +178,12 @@ def test_a_users_own_environment_of_variable_durations(algorithm: Any) -> None:
     actions = buffer.actions.reshape(-1)
     np.testing.assert_array_equal(buffer.durations.reshape(-1), np.where(actions == 1, 4, 1))
     np.testing.assert_allclose(buffer.discounts.reshape(-1), np.where(actions == 1, GAMMA**4, GAMMA))
-    assert kept.steps == buffer.durations.sum()
+    assert kept.n_steps == buffer.durations.sum()
 
 
 def test_dict_observations() -> None:
     env = OptionsWrapper(DictEnv(), 1, gamma=GAMMA, feature_map=place_of)
-    env.bank.add(
-        Option(
-            lambda obs: np.ones(batch_size(obs), dtype=bool),
-            lambda obs: np.ones(batch_size(obs)),
-            lambda obs: np.zeros(batch_size(obs)),
-            max_duration=3,
-        )
-    )
+    env.bank.add(steady_option(1, max_duration=3))
     model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=32, n_epochs=1, gamma=GAMMA)
     model.learn(32, callback=PrimitiveStepsCallback())
     assert isinstance(model.rollout_buffer, OptionDictRolloutBuffer)
@@ -245,12 +206,13 @@ def test_contrib_algorithms_get_a_buffer_derived_from_their_own(algorithm: Any, 
 def test_normalised_rewards_keep_the_bootstrap() -> None:
     venv = VecNormalize(DummyVecEnv([lambda: optioned_corridor(13)]), gamma=GAMMA, clip_reward=np.inf)
     model = make(PPO, venv)
-    kept = Rollouts()
-    model.learn(ENOUGH, callback=CallbackList([PrimitiveStepsCallback(), kept]))
+    kept = OneRollout()
+    model.learn(ENOUGH, callback=[PrimitiveStepsCallback(), kept])
     timeouts = np.array([s["timeout_values"] for s in kept.steps]).reshape(-1)
     plain = np.array([s["rewards"] for s in kept.steps]).reshape(-1)
     k = np.array([s["durations"] for s in kept.steps]).reshape(-1)
-    np.testing.assert_allclose(kept.rewards.reshape(-1), plain + GAMMA**k * timeouts, rtol=1e-6, atol=1e-6)
+    rewards = kept.buffer.rewards.reshape(-1)
+    np.testing.assert_allclose(rewards, plain + GAMMA**k * timeouts, rtol=1e-6, atol=1e-6)
     assert (timeouts != 0).any()
 
 
@@ -282,9 +244,8 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     for _ in range(n_present):
         env.bank.add(steady_option(1))
     model: Any = make(MaskablePPO, env)
-    with torch.no_grad():
-        model.policy.action_net.weight.zero_()
-        model.policy.action_net.bias.zero_()
+    for parameter in model.policy.action_net.parameters():
+        parameter.data.zero_()
     OptionInstaller(model, env_of(model), None, max_option_exploration=share)
     observation = torch.zeros((1, 2))
     masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
@@ -309,9 +270,8 @@ def test_options_share_the_opening_odds_with_those_available_in_the_same_states(
         inside = Region(np.array([[place], [place + 1.0]]), np.ones(1), 0.1)
         env.bank.add(SubgoalOption(Region(np.array([[11.0]]), np.ones(1), 0.1), inside, policy))
     model: Any = make(MaskablePPO, env)
-    with torch.no_grad():
-        model.policy.action_net.weight.zero_()
-        model.policy.action_net.bias.zero_()
+    for parameter in model.policy.action_net.parameters():
+        parameter.data.zero_()
     OptionInstaller(model, env_of(model), None, max_option_exploration=0.75)
     probabilities = model.policy.get_distribution(torch.zeros((1, 2))).distribution.probs[0].detach()
     assert float(probabilities[2 + slot] / probabilities[:2].sum()) == pytest.approx(odds, rel=1e-5)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import FloatArray, Observations, stack
+from sb3_options.experience.observations import FloatArray, Observations, batch_size, stack
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.option import Option
 
@@ -142,9 +142,9 @@ def table_option(
 def steady_option(action: int = 0, *, max_duration: int = 100, name: str = "steady") -> Option:
     """May start anywhere, always takes ``action``, ends by its longest duration only."""
     return Option(
-        lambda obs: np.ones(len(obs), dtype=bool),
-        lambda obs: np.full(len(obs), action),
-        lambda obs: np.zeros(len(obs)),
+        lambda obs: np.ones(batch_size(obs), dtype=bool),
+        lambda obs: np.full(batch_size(obs), action),
+        lambda obs: np.zeros(batch_size(obs)),
         max_duration=max_duration,
         name=name,
     )
@@ -187,6 +187,10 @@ def line(places: Sequence[float], actions: Sequence[int] | None = None, **kwargs
 def ball(*centre: float, radius: float = 0.0) -> Region:
     """A region of one ball, all features in units of 1."""
     return Region(np.array([centre]), np.ones(len(centre)), radius)
+
+
+def random_state(env: gym.Env[Any, Any]) -> Any:
+    return env.unwrapped.np_random.bit_generator.state
 
 
 def equal(left: Any, right: Any) -> bool:
