@@ -42,6 +42,12 @@ from tests.support.sb3_helpers import (
 )
 
 
+def optioned_corridor(kind: str) -> OptionsWrapper:
+    wrapped = OptionsWrapper(Corridor(kind), 1, gamma=GAMMA, feature_map=places)
+    wrapped.bank.add(corridor_option())
+    return wrapped
+
+
 class TestOptionDQN:
     def run(self, **kwargs: Any) -> tuple[Task, list[tuple[int, int]]]:
         """States and the augmented actions chosen in them, over thousands of draws; every option is worth 1e3 more."""
@@ -115,12 +121,7 @@ class TestOptionDQN:
 
     @pytest.mark.parametrize("kind", ["box", "dict", "image", "normalized"])
     def test_asks_the_wrapper_with_the_observations_it_knows(self, kind: str) -> None:
-        def make() -> OptionsWrapper:
-            wrapped = OptionsWrapper(Corridor(kind.replace("normalized", "box")), 1, gamma=GAMMA, feature_map=places)
-            wrapped.bank.add(corridor_option())
-            return wrapped
-
-        venv: VecEnv = DummyVecEnv([make, make])
+        venv: VecEnv = DummyVecEnv([lambda: optioned_corridor(kind.replace("normalized", "box"))] * 2)
         venv = VecTransposeImage(venv) if kind in ("image", "dict") else venv
         venv = VecNormalize(venv, gamma=GAMMA) if kind == "normalized" else venv
         policy = {"dict": "MultiInputPolicy", "image": "CnnPolicy"}.get(kind, "MlpPolicy")
@@ -135,12 +136,8 @@ class TestOptionDQN:
         assert model._available(seen)[:, 2].tolist() == [2 <= p < 8 for p in now]
 
     def test_masks_of_clipped_observations_are_those_of_the_originals(self) -> None:
-        def make() -> OptionsWrapper:
-            wrapped = OptionsWrapper(Corridor("box"), 1, gamma=GAMMA, feature_map=places)
-            wrapped.bank.add(corridor_option())
-            return wrapped
-
-        venv = VecNormalize(DummyVecEnv([make, make]), gamma=GAMMA, clip_obs=0.5, norm_reward=False)
+        venv = DummyVecEnv([lambda: optioned_corridor("box")] * 2)
+        venv = VecNormalize(venv, gamma=GAMMA, clip_obs=0.5, norm_reward=False)
         model = OptionDQN("MlpPolicy", venv, gamma=GAMMA, buffer_size=200, seed=0)
         model.q_net.eval()
         rng, masks = np.random.default_rng(0), []

@@ -9,7 +9,6 @@ import torch
 from gymnasium import spaces
 from sb3_contrib import QRDQN
 from stable_baselines3 import DQN
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecTransposeImage
 
@@ -86,7 +85,7 @@ def test_every_kind_of_observation(name: str, kind: str) -> None:
     after = outputs(model, seen)
     for old, new in zip(before, after, strict=True):
         torch.testing.assert_close(old, new[..., :2])
-    assert is_transposed(model) == (kind in ("image", "dict"))
+    assert isinstance(env_of(model), VecTransposeImage) == (kind in ("image", "dict"))
     callback = SubgoalDiscoveryCallback()
     model.learn(64, callback=callback, reset_num_timesteps=False)
     assert model.num_timesteps == 128
@@ -96,16 +95,11 @@ def test_every_kind_of_observation(name: str, kind: str) -> None:
         assert (model.replay_buffer.sample(16).discounts == GAMMA).all()
 
 
-def is_transposed(model: BaseAlgorithm) -> bool:
-    return isinstance(env_of(model), VecTransposeImage)
-
-
 @every
 def test_training_goes_on_as_it_would_have(name: str) -> None:
     """The same batches, without options: old weights are learned as before, but for rounding."""
-    unclipped: dict[str, Any] = (
-        {} if name == "trpo" else {"max_grad_norm": 1e9}
-    )  # a norm over more numbers rounds otherwise
+    # A norm over more numbers rounds otherwise.
+    unclipped: dict[str, Any] = {} if name == "trpo" else {"max_grad_norm": 1e9}
     stock, model = (trained(name, **unclipped) for _ in range(2))
     rollout = dict(vars(stock.rollout_buffer)) if hasattr(stock, "rollout_buffer") else {}
     expand_action_space(model, MAX_OPTIONS)
@@ -118,10 +112,7 @@ def test_training_goes_on_as_it_would_have(name: str) -> None:
     learned = [old.clone() for _, old, _ in weights_of_old(model, stock)]
     for each in (stock, model):
         set_random_seed(3)
-        if name in ("dqn", "qrdqn"):
-            each.train(100, 32)
-        else:
-            each.train()
+        each.train(*((100, 32) if name in ("dqn", "qrdqn") else ()))
     for key, old, new in weights_of_old(model, stock):
         torch.testing.assert_close(old, new, rtol=0, atol=2e-5, msg=key)
     assert any(not torch.equal(a, old) for a, (_, old, _) in zip(learned, weights_of_old(model, stock), strict=True))

@@ -37,13 +37,8 @@ def observations(n: int = 1000) -> torch.Tensor:
 @torch.no_grad()
 def outputs(model: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """Of the online and the target network, (batch, outputs an action, actions)."""
-    seen = observations()
-    policy = model.policy
-    networks = (
-        (policy.quantile_net, policy.quantile_net_target)
-        if isinstance(model, QRDQN)
-        else (policy.q_net, policy.q_net_target)
-    )
+    seen, name = observations(), "quantile_net" if isinstance(model, QRDQN) else "q_net"
+    networks = getattr(model.policy, name), getattr(model.policy, f"{name}_target")
     both = [network(seen).reshape(len(seen), -1, N_ACTIONS) for network in networks]
     return both[0], both[1]
 

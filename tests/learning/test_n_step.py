@@ -14,18 +14,8 @@ from sb3_options import OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.learning.n_step import END, Successors
 from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
-from tests.learning.test_replay_buffer import GAMMA, corridors, fill, optioned, place_in, place_of_tensors
-
-
-class Return(NamedTuple):
-    """What a sample must be."""
-
-    state: int
-    action: int
-    rewards: float
-    discount: float
-    next_state: int
-    terminal: bool
+from tests.learning.test_replay_buffer import GAMMA, assert_holds, buffer_for, corridors, fill, optioned, place_in
+from tests.support.sb3_helpers import Row
 
 
 class Decision(NamedTuple):
@@ -52,11 +42,8 @@ def episodes_of(
         rows = 0
         for i, log in enumerate(logs):
             action = chosen[i][n_before[i] + t]
-            k = 1
-            if action == 2:  # the rows of the run say how long it was
-                k = sum(1 for _ in _run_of(log, before[i], buffer))
-            steps = log[before[i] : before[i] + k]
-            before[i] += k
+            steps = _run_of(log, before[i]) if action == 2 else log[before[i] : before[i] + 1]
+            before[i] += len(steps)
             stored = steps[0].action if action == 3 else action
             open_[i].append(Decision(stored, steps, row + rows))
             rows += 1 + (len(steps) if action == 2 and buffer.macro_q else 0)
@@ -68,7 +55,7 @@ def episodes_of(
     return [*ended, *(decisions for decisions in open_ if decisions)]
 
 
-def _run_of(log: list[Any], at: int, buffer: OptionReplayBuffer) -> list[Any]:
+def _run_of(log: list[Any], at: int) -> list[Any]:
     """The primitive steps of `RIGHT` from a place."""
     run: list[Any] = []
     inside = 2 <= place_in(log[at].state) < 8
@@ -80,7 +67,7 @@ def _run_of(log: list[Any], at: int, buffer: OptionReplayBuffer) -> list[Any]:
             return run
 
 
-def expected(episodes: list[list[Decision]], n: int, *, macro_q: bool) -> dict[int, Return]:
+def expected(episodes: list[list[Decision]], n: int, *, macro_q: bool) -> dict[int, Row]:
     """The returns of all rows, by row."""
     returns = {}
     for episode in episodes:
@@ -94,29 +81,15 @@ def expected(episodes: list[list[Decision]], n: int, *, macro_q: bool) -> dict[i
     return returns
 
 
-def _sum(action: int, decisions: list[list[Any]]) -> Return:
+def _sum(action: int, decisions: list[list[Any]]) -> Row:
     steps = [step for decision in decisions for step in decision]
     rewards = sum(GAMMA**t * step.reward for t, step in enumerate(steps))
-    last = steps[-1]
-    return Return(
-        place_in(steps[0].state), action, rewards, GAMMA ** len(steps), place_in(last.next_state), last.terminated
-    )
+    first, last, discount = steps[0], steps[-1], GAMMA ** len(steps)
+    return Row(place_in(first.state), action, rewards, discount, place_in(last.next_state), last.terminated)
 
 
-def assert_samples(buffer: OptionReplayBuffer, rows: list[int], returns: list[Return]) -> None:
-    samples = cast("OptionReplayBufferSamples", buffer._get_samples(np.array(rows)))
-    assert place_of_tensors(samples.observations) == [r.state for r in returns]
-    assert samples.actions[:, 0].tolist() == [r.action for r in returns]
-    np.testing.assert_allclose(samples.rewards[:, 0], [r.rewards for r in returns], atol=1e-6)
-    np.testing.assert_allclose(samples.discounts[:, 0], [r.discount for r in returns], atol=1e-6)
-    assert place_of_tensors(samples.next_observations) == [r.next_state for r in returns]
-    assert samples.dones[:, 0].tolist() == [float(r.terminal) for r in returns]
-
-
-def buffer_for(venv: VecEnv, size: int, n: int, **kwargs: Any) -> OptionReplayBuffer:
-    return OptionReplayBuffer(
-        size, venv.observation_space, venv.action_space, "cpu", n_envs=venv.num_envs, n_steps=n, **kwargs
-    )
+def assert_samples(buffer: OptionReplayBuffer, rows: list[int], returns: list[Row]) -> None:
+    assert_holds(cast("OptionReplayBufferSamples", buffer._get_samples(np.array(rows))), returns)
 
 
 @pytest.mark.parametrize("macro_q", [True, False])
@@ -126,7 +99,7 @@ def test_returns_are_those_of_the_primitive_steps(
     kind: str, n: int, n_envs: int, macro_q: bool, rng: np.random.Generator
 ) -> None:
     venv = corridors(kind, n_envs)
-    buffer = buffer_for(venv, 3000, n, macro_q=macro_q)
+    buffer = buffer_for(venv, 3000, n_steps=n, macro_q=macro_q)
     episodes = episodes_of(venv, buffer, 400 // n_envs, rng)
     returns = expected(episodes, n, macro_q=macro_q)
     assert len(episodes) > 10
@@ -140,7 +113,7 @@ def test_returns_are_those_of_the_primitive_steps(
 def test_the_same_where_the_oldest_rows_are_overwritten(size: int, n_envs: int, rng: np.random.Generator) -> None:
     for n_steps in range(5, 45):
         venv = corridors("box", n_envs)
-        buffer = buffer_for(venv, size, 3)
+        buffer = buffer_for(venv, size, n_steps=3)
         returns = expected(episodes_of(venv, buffer, n_steps, rng), 3, macro_q=True)
         n = len(returns)
         kept = range(max(0, n - size), n)
@@ -150,7 +123,7 @@ def test_the_same_where_the_oldest_rows_are_overwritten(size: int, n_envs: int, 
 
 def test_a_reset_in_mid_episode_ends_the_returns_before_it(rng: np.random.Generator) -> None:
     venv = corridors("box", limit=1000)
-    buffer = buffer_for(venv, 3000, 1000, macro_q=False)
+    buffer = buffer_for(venv, 3000, n_steps=1000, macro_q=False)
     resets = []
     for _ in range(100):
         fill(venv, buffer, 2, rng)
@@ -166,7 +139,7 @@ def test_a_reset_in_mid_episode_ends_the_returns_before_it(rng: np.random.Genera
 
 def test_a_removed_option_leaves_no_return_across_its_rows(rng: np.random.Generator) -> None:
     venv = corridors("box")
-    buffer = buffer_for(venv, 3000, 4)
+    buffer = buffer_for(venv, 3000, n_steps=4)
     returns = expected(episodes_of(venv, buffer, 300, rng), 4, macro_q=True)
     removed = [row for row, r in returns.items() if r.action == 2]
     buffer.forget_action(2)
@@ -182,7 +155,7 @@ def test_a_removed_option_leaves_no_return_across_its_rows(rng: np.random.Genera
 
 def test_equals_the_stock_buffer_without_options(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     venv = corridors("box", 3)
-    ours = buffer_for(venv, 600, 3)
+    ours = buffer_for(venv, 600, n_steps=3)
     stock = NStepReplayBuffer(600, venv.observation_space, venv.action_space, "cpu", n_envs=3, n_steps=3, gamma=GAMMA)
     obs: Any = venv.reset()
     for _ in range(60):
@@ -243,14 +216,11 @@ def test_a_run_longer_than_the_buffer_is_followed_by_the_next_decision_alone() -
     assert (rows.following.tolist(), rows.newest(0).tolist(), rows.newest(1).tolist()) == ([END, 2, END], [], [])
 
 
-class TestModels:
-    """How a model comes by n-step returns."""
-
-    def test_n_steps_that_sb3_does_not_pass_on_is_refused(self) -> None:
-        with pytest.warns(UserWarning, match="`n_steps=3` is ignored"):
-            model = DQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3, replay_buffer_class=OptionReplayBuffer)
-        with pytest.raises(ValueError, match=r"pass DQN\(..., replay_buffer_kwargs=\{'n_steps': 3\}\) instead"):
-            model.learn(10, callback=PrimitiveStepsCallback())
+def test_n_steps_that_sb3_does_not_pass_on_is_refused() -> None:
+    with pytest.warns(UserWarning, match="`n_steps=3` is ignored"):
+        model = DQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3, replay_buffer_class=OptionReplayBuffer)
+    with pytest.raises(ValueError, match=r"pass DQN\(..., replay_buffer_kwargs=\{'n_steps': 3\}\) instead"):
+        model.learn(10, callback=PrimitiveStepsCallback())
 
 
 def test_at_first_no_decision_is_the_newest() -> None:

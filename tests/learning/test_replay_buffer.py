@@ -11,7 +11,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize, VecTransposeImage
 
-from sb3_options import Option, OptionReplayBuffer, OptionsWrapper
+from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
 from tests.support.sb3_helpers import (
     ActionLog,
@@ -19,8 +19,8 @@ from tests.support.sb3_helpers import (
     Row,
     StepLog,
     TableOption,
+    corridor_option,
     expected_rows,
-    place_condition,
     places,
 )
 
@@ -30,21 +30,11 @@ INSIDE = [2 <= p < 8 for p in range(12)]
 RIGHT = TableOption(INSIDE, [1] * 12, [p == 8 for p in range(12)], max_duration=4)
 
 
-def option() -> Option:
-    """`RIGHT` over any kind of observation: from places 2 to 7 to the right until place 8."""
-    return Option(
-        place_condition(lambda p: (p >= 2) & (p < 8)),
-        place_condition(lambda p: np.ones(len(p), dtype=int)),
-        place_condition(lambda p: p == 8),
-        max_duration=RIGHT.max_duration,
-    )
-
-
 def optioned(kind: str, *, limit: int = 25) -> ActionLog:
     """A corridor whose slot 0 is `RIGHT` and whose slot 1 is empty."""
     wrapped = OptionsWrapper(StepLog(Corridor(kind, limit)), 2, gamma=GAMMA, feature_map=places)
     wrapped.set_slots(report_availability=True)
-    wrapped.bank.add(option(), 0)
+    wrapped.bank.add(corridor_option(max_duration=RIGHT.max_duration), 0)
     return ActionLog(wrapped)
 
 
@@ -111,12 +101,17 @@ def assert_holds(samples: OptionReplayBufferSamples, rows: list[Row]) -> None:
     assert samples.dones[:, 0].tolist() == [float(r.terminal) for r in rows]
 
 
+def buffer_for(venv: VecEnv, size: int = 2000, **kwargs: Any) -> OptionReplayBuffer:
+    spaces = venv.observation_space, venv.action_space
+    return OptionReplayBuffer(size, *spaces, "cpu", n_envs=venv.num_envs, **kwargs)
+
+
 @pytest.mark.parametrize("macro_q", [True, False])
 @pytest.mark.parametrize("n_envs", [1, 4])
 @pytest.mark.parametrize("kind", KINDS)
 def test_holds_what_the_primitive_steps_were(kind: str, n_envs: int, macro_q: bool, rng: np.random.Generator) -> None:
     venv = corridors(kind, n_envs)
-    buffer = OptionReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu", n_envs=n_envs, macro_q=macro_q)
+    buffer = buffer_for(venv, macro_q=macro_q)
     rows = [row for step in fill(venv, buffer, 400 // n_envs, rng) for row in step]
     discounts = {round(r.discount, 6) for r in rows}
     assert len(discounts) >= 4  # options of several durations ran
@@ -128,7 +123,7 @@ def test_holds_what_the_primitive_steps_were(kind: str, n_envs: int, macro_q: bo
 @pytest.mark.parametrize("n_envs", [1, 4])
 def test_wraps_around_in_the_middle_of_an_option(n_envs: int, rng: np.random.Generator) -> None:
     venv = corridors("box", n_envs)
-    buffer = OptionReplayBuffer(37, venv.observation_space, venv.action_space, "cpu", n_envs=n_envs)
+    buffer = buffer_for(venv, 37)
     buffer.track_availability(2)
     rows: list[Row] = []
     crossed = 0
@@ -150,7 +145,7 @@ def test_wraps_around_in_the_middle_of_an_option(n_envs: int, rng: np.random.Gen
 
 def test_a_run_longer_than_the_buffer_leaves_its_last_rows(rng: np.random.Generator) -> None:
     venv = corridors("box")
-    buffer = OptionReplayBuffer(3, venv.observation_space, venv.action_space, "cpu")
+    buffer = buffer_for(venv, 3)
     rows = [row for step in fill(venv, buffer, 100, rng) for row in step]
     assert_holds(all_samples(buffer), [r for _, r in sorted((i % 3, rows[i]) for i in range(len(rows) - 3, len(rows)))])
 
@@ -158,9 +153,7 @@ def test_a_run_longer_than_the_buffer_leaves_its_last_rows(rng: np.random.Genera
 @pytest.mark.parametrize("handle", [True, False])
 def test_timeouts_inside_options_bootstrap_unless_told_otherwise(handle: bool, rng: np.random.Generator) -> None:
     venv = corridors("box", limit=5)
-    buffer = OptionReplayBuffer(
-        2000, venv.observation_space, venv.action_space, "cpu", handle_timeout_termination=handle
-    )
+    buffer = buffer_for(venv, handle_timeout_termination=handle)
     fill(venv, buffer, 300, rng)
     samples = all_samples(buffer)
     cut_off_in_option = (samples.actions[:, 0] == 2).numpy() & (buffer.dones[: buffer.size()] == 1)
@@ -175,7 +168,7 @@ def test_timeouts_inside_options_bootstrap_unless_told_otherwise(handle: bool, r
 
 def test_normalizes_with_vec_normalize_as_the_stock_buffer_does(rng: np.random.Generator) -> None:
     venv = corridors("box")
-    buffer = OptionReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu")
+    buffer = buffer_for(venv)
     fill(venv, buffer, 200, rng)
     normalize = VecNormalize(venv, gamma=GAMMA)
     statistics = cast("RunningMeanStd", normalize.obs_rms)
@@ -192,7 +185,7 @@ def test_normalizes_with_vec_normalize_as_the_stock_buffer_does(rng: np.random.G
 @pytest.mark.parametrize("kind", KINDS)
 def test_gives_back_stored_observations_as_the_environment_made_them(kind: str, rng: np.random.Generator) -> None:
     venv = corridors(kind, 2)
-    buffer = OptionReplayBuffer(2000, venv.observation_space, venv.action_space, "cpu", n_envs=2)
+    buffer = buffer_for(venv)
     rows = [row for step in fill(venv, buffer, 50, rng) for row in step]
     stored = buffer.next_observations_stored()
     shapes = {k: v.shape for k, v in stored.items()} if isinstance(stored, dict) else stored.shape  # type: ignore[union-attr]  # an array otherwise
@@ -205,14 +198,12 @@ def test_gives_back_stored_observations_as_the_environment_made_them(kind: str, 
 
 
 def test_survives_saving_and_loading(rng: np.random.Generator) -> None:
-    model = DQN(
-        "MlpPolicy", corridors("box"), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=300, seed=0
-    )
+    settings: dict[str, Any] = {"gamma": GAMMA, "replay_buffer_class": OptionReplayBuffer, "buffer_size": 300}
+    model, other = (DQN("MlpPolicy", corridors("box"), **settings) for _ in range(2))
     model.learn(200)
     file = io.BytesIO()
     model.save_replay_buffer(file)
     file.seek(0)
-    other = DQN("MlpPolicy", corridors("box"), gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=300)
     other.load_replay_buffer(file)
     kept, loaded = model.replay_buffer, other.replay_buffer
     assert isinstance(kept, OptionReplayBuffer)
@@ -223,28 +214,23 @@ def test_survives_saving_and_loading(rng: np.random.Generator) -> None:
     fill(corridors("box"), loaded, 10, rng)
 
 
-class TestErrors:
-    def test_optimize_memory_usage(self) -> None:
-        with pytest.raises(ValueError, match=r"OptionReplayBuffer needs optimize_memory_usage=False"):
-            OptionReplayBuffer(10, spaces.Discrete(3), spaces.Discrete(2), optimize_memory_usage=True)
-
-    def test_no_wrapper(self) -> None:
-        model = DQN("MlpPolicy", gym.make("CartPole-v1"), replay_buffer_class=OptionReplayBuffer, buffer_size=100)
-        with pytest.raises(ValueError, match=r'There is no info\["option"\]: wrap the environment in OptionsWrapper'):
-            model.learn(10)
-
-    def test_a_vec_env_wrapper_that_changes_observations(self) -> None:
-        venv = VecFrameStack(corridors("image"), 2)
-        model = DQN("CnnPolicy", venv, gamma=GAMMA, replay_buffer_class=OptionReplayBuffer, buffer_size=100, seed=0)
-        with pytest.raises(ValueError, match=r"a VecEnv wrapper changes them\. Pass replay_buffer_kwargs="):
-            model.learn(200)
+def test_what_it_cannot_store_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"OptionReplayBuffer needs optimize_memory_usage=False"):
+        OptionReplayBuffer(10, spaces.Discrete(3), spaces.Discrete(2), optimize_memory_usage=True)
+    settings: dict[str, Any] = {"gamma": GAMMA, "replay_buffer_class": OptionReplayBuffer, "buffer_size": 100}
+    bare = DQN("MlpPolicy", gym.make("CartPole-v1"), **settings)
+    with pytest.raises(ValueError, match=r'There is no info\["option"\]: wrap the environment in OptionsWrapper'):
+        bare.learn(10)
+    stacked = DQN("CnnPolicy", VecFrameStack(corridors("image"), 2), **settings, seed=0)
+    with pytest.raises(ValueError, match=r"a VecEnv wrapper changes them\. Pass replay_buffer_kwargs="):
+        stacked.learn(200)
 
 
 @pytest.mark.parametrize("macro_q", [True, False])
 def test_a_removed_option_is_named_no_more(macro_q: bool, rng: np.random.Generator) -> None:
     """Each of its runs becomes the transition that was stored after it; all others stay."""
     venv = corridors("box")
-    buffer = OptionReplayBuffer(500, venv.observation_space, venv.action_space, macro_q=macro_q)
+    buffer = buffer_for(venv, 500, macro_q=macro_q)
     rows = [row for step in fill(venv, buffer, 80, rng) for row in step]
     assert sum(row.action == 2 for row in rows) > 5
     buffer.forget_action(2)

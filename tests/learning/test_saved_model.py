@@ -170,27 +170,24 @@ def test_they_go_along_into_other_environments(algorithm: Any, callback: Any, be
     assert not heads.is_closed(model.policy, 4 + SLOT)
 
 
-class TestWarning:
-    def test_predictions_without_the_options_say_so_once(
-        self, tmp_path: Path, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        model = trained(DQN)
-        with_bias(model)
-        model.save(tmp_path / "model.zip")
-        caplog.set_level(logging.WARNING)
-        lost = DQN.load(tmp_path / "model.zip", env=optioned_rooms())
-        evaluate_policy(lost, env_of(lost), n_eval_episodes=2, warn=False)
-        (record,) = caplog.records
-        assert "Slot 2 was chosen, and it is empty: a primitive action takes its place" in record.message
-        caplog.clear()
-        found = load_model(DQN, tmp_path / "model.zip", optioned_rooms())
-        evaluate_policy(found, env_of(found), n_eval_episodes=2, warn=False)
-        assert caplog.records == []
-
-
-def with_bias(model: Any) -> None:
-    """Let the option be the greedy choice everywhere."""
+def save_with_bias(path: Path) -> None:
+    """A model whose greedy choice is the option everywhere."""
+    model = trained(DQN)
     model.q_net.q_net[-1].bias.data[4 + SLOT] += 10.0
+    model.save(path)
+
+
+def test_predictions_without_the_options_say_so_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    save_with_bias(tmp_path / "model.zip")
+    caplog.set_level(logging.WARNING)
+    lost = DQN.load(tmp_path / "model.zip", env=optioned_rooms())
+    evaluate_policy(lost, env_of(lost), n_eval_episodes=2, warn=False)
+    (record,) = caplog.records
+    assert "Slot 2 was chosen, and it is empty: a primitive action takes its place" in record.message
+    caplog.clear()
+    found = load_model(DQN, tmp_path / "model.zip", optioned_rooms())
+    evaluate_policy(found, env_of(found), n_eval_episodes=2, warn=False)
+    assert caplog.records == []
 
 
 def slow_rooms() -> OptionsWrapper:
@@ -200,9 +197,7 @@ def slow_rooms() -> OptionsWrapper:
 
 def test_what_was_loaded_is_evaluated_in_primitive_steps(tmp_path: Path) -> None:
     """SB3's `load` puts a Monitor above the options, which would count decisions."""
-    model = trained(DQN)
-    with_bias(model)
-    model.save(tmp_path / "model.zip")
+    save_with_bias(tmp_path / "model.zip")
     loaded = load_model(DQN, tmp_path / "model.zip", slow_rooms())
     monitored: Any = Monitor(slow_rooms())
     load_options(tmp_path / "model.zip", monitored)

@@ -251,9 +251,7 @@ def place_condition(test: Callable[[npt.NDArray[np.float64]], Any]) -> Callable[
     return lambda observations: test(places(observations)[:, 0])
 
 
-def corridor_option() -> Option:
-    return Option(
-        place_condition(lambda p: (p >= 2) & (p < 8)),
-        place_condition(lambda p: np.ones(len(p), dtype=int)),
-        place_condition(lambda p: p == 8),
-    )
+def corridor_option(**kwargs: Any) -> Option:
+    """To the right from places 2 to 7 of any kind of `Corridor` until place 8."""
+    functions: list[Callable[[Any], Any]] = [lambda p: (p >= 2) & (p < 8), np.ones_like, lambda p: p == 8]
+    return Option(*(place_condition(function) for function in functions), **kwargs)
