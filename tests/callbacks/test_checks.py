@@ -18,8 +18,7 @@ from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallbac
 from sb3_options.learning import heads
 from sb3_options.learning.macro_q import OneHot
 from tests.callbacks.doorway import discovered
-from tests.support.helpers import DictEnv
-from tests.support.sb3_helpers import env_of, fast_callback, optioned_rooms, small_rooms
+from tests.support.sb3_helpers import Corridor, env_of, fast_callback, optioned_rooms, small_rooms
 
 DQN_KWARGS: dict[str, Any] = {"gamma": 0.9, "buffer_size": 200, "learning_starts": 10, "seed": 0}
 
@@ -56,7 +55,7 @@ class OwnReplay(ReplayBuffer):
             r"OptionsWrapper discounts with gamma=0\.9, DQN with gamma=0\.95: give both the same",
         ),
         (
-            lambda: dqn(OptionsWrapper(DictEnv(), gamma=0.9), "MultiInputPolicy"),
+            lambda: dqn(OptionsWrapper(Corridor("dict"), gamma=0.9), "MultiInputPolicy"),
             r"no default feature map for Dict\(.*: pass OptionsWrapper\(env, feature_map=\.\.\.\)",
         ),
         (

@@ -21,7 +21,7 @@ from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallbac
 from sb3_options.learning.novelty import StateCounts, bin_widths
 from tests.learning.test_replay_buffer import optioned, place_in
 from tests.learning.test_rollout_buffer import GAMMA, LAMBDA, make
-from tests.support.helpers import DictEnv, steady_option
+from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import Corridor, StepLog, optioned_rooms
 
 WEIGHT = 0.5
@@ -209,7 +209,7 @@ class TestErrors:
             make(PPO, Corridor(), gamma=1.0).learn(64, callback=IntrinsicRewardCallback())
 
     def test_nothing_to_count(self) -> None:
-        model = PPO("MultiInputPolicy", DictEnv(), n_steps=16, batch_size=16)
+        model = PPO("MultiInputPolicy", Corridor("dict"), n_steps=16, batch_size=16)
         with pytest.raises(ValueError, match=r"nothing to count in Dict.*pass OptionsWrapper\(feature_map"):
             model.learn(16, callback=IntrinsicRewardCallback())
 

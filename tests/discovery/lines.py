@@ -1,5 +1,6 @@
 """Trajectories along a line, and settings with which a few of them are searched."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -13,18 +14,9 @@ from sb3_options.experience.trajectories import Trajectory
 from tests.support.helpers import trajectory_of
 
 SMALL: dict[str, Any] = {
-    "min_positive": 1,
-    "start_radius": 0.0,
-    "goal_radius": 0.0,
-    "search": "exhaustive",
-    "decay": 0.5,
-    "threshold": 0.4,
-    "negative_strength": 1.0,
-    "loops": "keep",
-    "min_passing": 0.0,
-    "leak": 0.0,
-    "search_growth": 0.0,
-}
+    "min_positive": 1, "start_radius": 0.0, "goal_radius": 0.0, "search": "exhaustive", "decay": 0.5, "threshold": 0.4,
+    "negative_strength": 1.0, "loops": "keep", "min_passing": 0.0, "leak": 0.0, "search_growth": 0.0,
+}  # fmt: skip
 """The paper's bags and diverse density, of few trajectories, which may be searched again and again."""
 
 SEARCHES: tuple[Literal["gradient", "exhaustive"], ...] = ("gradient", "exhaustive")
@@ -38,6 +30,13 @@ def on_a_line(*places: float, success: bool = True) -> tuple[Trajectory, FloatAr
     """A trajectory and its features: the places themselves."""
     trajectory = trajectory_of([np.array([float(p)]) for p in places], is_success=success)
     return trajectory, np.asarray(trajectory.states)
+
+
+def walked(discovery: Discovery, *ways: Sequence[float]) -> Discovery:
+    """The same after a success along each way."""
+    for way in ways:
+        discovery.add(*on_a_line(*way))
+    return discovery
 
 
 def found(discovery: Discovery) -> list[float] | None:

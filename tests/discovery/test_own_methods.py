@@ -13,7 +13,7 @@ from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import Experience
 from sb3_options.discovery.methods.visits import RandomPlaces
 from sb3_options.discovery.settings import DiscoverySettings
-from tests.discovery.told import Told, line, of
+from tests.discovery.told import Told, line, of, searched
 
 
 class Failing(Told):
@@ -55,8 +55,7 @@ def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
         discovery = Discovery(DiscoverySettings(max_share=share), method=method, kind="environment")
         discovery.diary.step_seconds = TABLE_STEP_SECONDS
         for _ in range(3):
-            discovery.add(*line())
-            discovery.search()
+            searched(discovery)
         told[share] = len(method.told)
     assert told == {0.05: 1, None: 3}
 
@@ -118,8 +117,7 @@ def test_a_method_cannot_move_what_was_taken_nor_what_was_lived_through() -> Non
 
     discovery = of(Moving())
     for _ in range(2):
-        discovery.add(*line())
-        discovery.search()
+        searched(discovery)
     assert discovery.found[0].subgoal.points.tolist() == [[6.0]]
     assert line()[1].tolist() == next(iter(discovery.database)).features.tolist()
 

@@ -13,18 +13,13 @@ from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
 from sb3_options.discovery.methods.visits import FirstVisits, RandomPlaces
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.state import restore, state_of
-from tests.discovery.told import Told, line, of
+from tests.discovery.told import Told, line, of, searched
 
 
 def test_the_first_proposal_that_is_far_enough_is_taken() -> None:
     method = Told(5.0, 6.0, 9.0)
     discovery = of(method, spacing=3.0)
-    found = []
-    for _ in range(4):
-        discovery.add(*line())
-        subgoal = discovery.search()
-        found.append(None if subgoal is None else float(subgoal.points[0, 0]))
-    assert found == [5.0, 9.0, None, None]
+    assert [searched(discovery) for _ in range(4)] == [5.0, 9.0, None, None]
     assert [f.subgoal.points[0, 0] for f in discovery.found] == [5.0, 9.0]
     assert len(method.told) == 4
 
@@ -32,10 +27,8 @@ def test_the_first_proposal_that_is_far_enough_is_taken() -> None:
 def test_methods_are_told_what_may_be_a_subgoal() -> None:
     method = Told(6.0)
     discovery = of(method, start_radius=2.0, goal_radius=3.0, spacing=1.0)
-    discovery.add(*line())
-    discovery.search()
-    discovery.add(*line())
-    discovery.search()
+    for _ in range(2):
+        searched(discovery)
     first, second = method.told
     assert np.flatnonzero(first.allowed).tolist() == [3, 4, 5, 6, 7]
     assert np.flatnonzero(second.allowed).tolist() == [3, 4]  # 5, 6 and 7 lie near the subgoal
@@ -45,9 +38,7 @@ def test_methods_are_told_what_may_be_a_subgoal() -> None:
 def test_a_scale_by_the_range_waits_for_trajectories() -> None:
     method = Told()
     discovery = of(method, kind="identity", min_positive=3)
-    for _ in range(3):
-        discovery.add(*line())
-        assert discovery.search() is None
+    assert [searched(discovery) for _ in range(3)] == [None] * 3
     assert len(method.told) == 3
     assert method.told[0].scale == pytest.approx(20 / 11)
 
@@ -62,11 +53,7 @@ class OnlyAtFirst(Told):
 
 def test_what_was_proposed_of_trajectories_that_waited_is_not_lost() -> None:
     discovery = of(OnlyAtFirst(5.0), kind="identity", min_positive=3)
-    found = []
-    for _ in range(3):
-        discovery.add(*line())
-        found.append(discovery.search())
-    assert [None if each is None else each.points[0, 0] for each in found] == [None, None, 5.0]
+    assert [searched(discovery) for _ in range(3)] == [None, None, 5.0]
 
 
 def test_without_distances_spacing_counts_steps() -> None:
@@ -102,8 +89,7 @@ def test_groups_are_for_diverse_density() -> None:
 def test_why_nothing_names_the_method() -> None:
     discovery = of(Told())
     assert discovery.why_nothing().startswith("No subgoal was discovered: no episode has ended. Train")
-    discovery.add(*line())
-    discovery.search()
+    searched(discovery)
     assert discovery.why_nothing() == "No subgoal was discovered: Told proposed none that the filters leave."
 
 
@@ -122,8 +108,7 @@ def test_why_nothing_tells_of_successes_where_the_method_needs_them(caplog: pyte
 
 def test_there_is_no_lack_where_something_was_found() -> None:
     discovery = of(Told(5.0))
-    discovery.add(*line())
-    discovery.search()
+    searched(discovery)
     assert discovery.why_nothing() == "Subgoals discovered that have an option: 1."
     discovery.withdraw()
     assert "no saved trajectory leads to the subgoal" in discovery.why_nothing()
@@ -131,28 +116,21 @@ def test_there_is_no_lack_where_something_was_found() -> None:
 
 def test_what_no_option_could_be_learned_for_comes_again_and_blocks_nothing_near() -> None:
     discovery = of(Told(5.0, 6.0), spacing=3.0)
-
-    def searched() -> float | None:
-        discovery.add(*line())
-        subgoal = discovery.search()
-        return None if subgoal is None else float(subgoal.points[0, 0])
-
-    assert searched() == 5.0
+    assert searched(discovery) == 5.0
     discovery.withdraw()
     state = state_of(discovery)  # with methods that tell
-    assert searched() == 5.0, "twice as many trajectories"
+    assert searched(discovery) == 5.0, "twice as many trajectories"
     discovery.withdraw()
-    assert searched() == 6.0, "so near to 5 that an option there would leave it out"
-    assert searched() is None
+    assert searched(discovery) == 6.0, "so near to 5 that an option there would leave it out"
+    assert searched(discovery) is None
     restore(discovery, state)
-    assert (searched(), len(discovery.found)) == (5.0, 1)
+    assert (searched(discovery), len(discovery.found)) == (5.0, 1)
 
 
 def test_why_nothing_says_what_a_method_waits_for() -> None:
     discovery = of(RandomPlaces(min_successes=9))
     for _ in range(3):
-        discovery.add(*line())
-        discovery.search()
+        searched(discovery)
     waits = "RandomPlaces waits for 9 successful episodes (min_successes), and 3 have ended."
     assert discovery.why_nothing() == f"No subgoal was discovered: {waits}"
 
@@ -163,8 +141,7 @@ def test_what_waits_for_the_method_keeps_to_the_memory_too(monkeypatch: pytest.M
     method = Told()
     discovery = of(method, kind="identity")
     for n in range(1, 7):
-        discovery.add(*line())
-        discovery.search()
+        searched(discovery)
         assert (discovery.scale is not None) == (n >= 4)
     assert len(method.told) == 2 + 2
 

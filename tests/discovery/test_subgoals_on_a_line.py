@@ -10,16 +10,17 @@ from experiments.common.few_peaks import FewPeaks
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.settings import described
 from sb3_options.experience.success import success_by_steps
-from tests.discovery.lines import SEARCHES, bags_of, found, on_a_line, peaks_of, settings_of
+from tests.discovery.lines import SEARCHES, bags_of, found, on_a_line, peaks_of, settings_of, walked
 from tests.support.helpers import ball, trajectory_of
+
+BY_FIVE = (0, 2, 5, 9, 20), (1, 3.5, 5, 7, 21)
+BY_FIVE_AND_TWELVE = (0, 2, 5, 9, 12, 20), (1, 3.5, 5, 7, 12, 21)
 
 
 class TestSearch:
     def test_by_hand(self) -> None:
         """Both walks pass 5; λ = 1/2 and a threshold of 0.4 want one search."""
-        discovery = Discovery(settings_of())
-        discovery.add(*on_a_line(0, 2, 5, 9, 20))
-        discovery.add(*on_a_line(1, 3.5, 5, 7, 21))
+        discovery = walked(Discovery(settings_of()), *BY_FIVE)
         assert found(discovery) == [5.0]
         (finding,) = discovery.found
         # −log p = −2 log(1 − (1 − e⁰)·…) = 0: both bags hold the very place.
@@ -30,16 +31,12 @@ class TestSearch:
         assert [len(bag) for bag in completed.positive] == [3, 3]
 
     def test_persistence_takes_several_searches(self) -> None:
-        discovery = Discovery(settings_of(threshold=0.8))
-        discovery.add(*on_a_line(0, 2, 5, 9, 20))
-        discovery.add(*on_a_line(1, 3.5, 5, 7, 21))
+        discovery = walked(Discovery(settings_of(threshold=0.8)), *BY_FIVE)
         assert [found(discovery) for _ in range(3)] == [None, None, [5.0]]
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_found_subgoals_are_taken(self, search: str) -> None:
-        discovery = Discovery(settings_of(search=search, spacing=3.0))
-        discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
-        discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
+        discovery = walked(Discovery(settings_of(search=search, spacing=3.0)), *BY_FIVE_AND_TWELVE)
         assert sorted(p for _ in range(2) for p in found(discovery) or []) == [5.0, 12.0]
         centres = [f.subgoal.points[0, 0] for f in discovery.found]
         for _ in range(20):
@@ -52,16 +49,13 @@ class TestSearch:
     @pytest.mark.parametrize("search", SEARCHES)
     def test_so_are_those_that_had_an_option_before(self, search: str) -> None:
         discovery = Discovery(settings_of(search=search, spacing=3.0), taken=[ball(5.0)])
-        discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
-        discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
-        assert found(discovery) == [12.0]
+        assert found(walked(discovery, *BY_FIVE_AND_TWELVE)) == [12.0]
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_negative_bags_speak_against(self, search: str) -> None:
         for strength, expected in ((1.0, [12.0]), (0.0, [5.0])):
             discovery = Discovery(settings_of(search=search, negative_strength=strength))
-            discovery.add(*on_a_line(0, 2, 5, 12, 20))
-            discovery.add(*on_a_line(1, 3.5, 5, 12, 21))
+            walked(discovery, (0, 2, 5, 12, 20), (1, 3.5, 5, 12, 21))
             discovery.add(*on_a_line(0, 4, 5, 6, 30, success=False))
             assert found(discovery) == expected
 
@@ -69,32 +63,23 @@ class TestSearch:
     def test_too_many_places_are_accidents(self, search: str) -> None:
         for max_places, expected in ((1, None), (2, [5.0])):
             discovery = Discovery(settings_of(search=search), FewPeaks(max_places))
-            discovery.add(*on_a_line(0, 2, 5, 9, 12, 20))
-            discovery.add(*on_a_line(1, 3.5, 5, 7, 12, 21))
-            assert found(discovery) == expected
+            assert found(walked(discovery, *BY_FIVE_AND_TWELVE)) == expected
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_a_wide_plateau_is_open_space(self, search: str) -> None:
         for max_extent, expected in ((1.0, None), (2.0, [7.0])):
             discovery = Discovery(settings_of(search=search), FewPeaks(9, max_extent))
-            discovery.add(*on_a_line(0, 2, 5, 6, 7, 8, 9, 20))
-            discovery.add(*on_a_line(1, 3.5, 5, 6, 7, 8, 9, 21))
-            assert found(discovery) == expected
+            ways = (0, 2, 5, 6, 7, 8, 9, 20), (1, 3.5, 5, 6, 7, 8, 9, 21)
+            assert found(walked(discovery, *ways)) == expected
 
     def test_a_peak_where_nobody_can_stand_moves_to_the_nearest_instance(self) -> None:
-        discovery = Discovery(settings_of(search="gradient"))
-        discovery.add(*on_a_line(0, 5.0, 20))
-        discovery.add(*on_a_line(1, 5.5, 21))
-        subgoal = found(discovery)
-        assert subgoal in ([5.0], [5.5])
+        discovery = walked(Discovery(settings_of(search="gradient")), (0, 5.0, 20), (1, 5.5, 21))
+        assert found(discovery) in ([5.0], [5.5])
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_only_the_last_trajectories_count(self, search: str) -> None:
         discovery = Discovery(settings_of(search=search, capacity=2))
-        for _ in range(5):
-            discovery.add(*on_a_line(0, 5, 20))
-        for _ in range(2):
-            discovery.add(*on_a_line(0, 9, 20))
+        walked(discovery, *[(0, 5, 20)] * 5, *[(0, 9, 20)] * 2)
         assert len(discovery.database) == 2
         assert found(discovery) == [9.0]
 
@@ -125,8 +110,7 @@ class TestSearch:
     def test_only_what_the_ways_near_it_lead_through_is_an_instance(self, search: str) -> None:
         """Six ways lead through 10; near 30, two through each of three places a unit from each other."""
         discovery = Discovery(settings_of(search=search, loops="erase", min_passing=0.7, min_positive=3))
-        for way in range(6):
-            discovery.add(*on_a_line(0, 10, 30 + way % 3, 60))
+        walked(discovery, *((0, 10, 30 + way % 3, 60) for way in range(6)))
         assert found(discovery) == pytest.approx([10.0], abs=1e-6)
         evidence = peaks_of(discovery).evidence
         assert evidence is not None
@@ -145,9 +129,7 @@ class TestSearch:
 
         def best(leak: float) -> float:
             discovery = Discovery(settings_of(search=search, min_positive=3, leak=leak))
-            for i, way in enumerate(ways):
-                discovery.add(*on_a_line(100.0 + 9 * i, way, 200.0 + 9 * i))
-            discovery.search()
+            walked(discovery, *((100.0 + 9 * i, way, 200.0 + 9 * i) for i, way in enumerate(ways))).search()
             density = discovery.method.log_density(np.array([[5.0], [7.0]]))
             assert density is not None
             return float(density[0] - density[1])
@@ -229,16 +211,12 @@ class TestNothingToFind:
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_a_single_instance(self, search: str) -> None:
-        discovery = Discovery(settings_of(search=search, negative_strength=0.0))
-        discovery.add(*on_a_line(0, 5, 20))
+        discovery = walked(Discovery(settings_of(search=search, negative_strength=0.0)), (0, 5, 20))
         assert found(discovery) == pytest.approx([5.0], abs=1e-6)
         assert discovery.search() is None
 
     def test_a_trajectory_of_one_observation(self) -> None:
-        discovery = Discovery(settings_of())
-        discovery.add(*on_a_line(0))
-        discovery.add(*on_a_line(3, 3, 3))
-        assert discovery.search() is None
+        assert walked(Discovery(settings_of()), (0,), (3, 3, 3)).search() is None
 
 
 class TestAdd:
@@ -248,10 +226,8 @@ class TestAdd:
         trajectory, features = on_a_line(0, 5, 20)
         features = features.copy()
         features[1] = bad
-        with pytest.raises(
-            ValueError,
-            match=r"^a trajectory has rewards, features or observations that are NaN or infinite; .*check_finite",
-        ):
+        message = r"^a trajectory has rewards, features or observations that are NaN or infinite; .*check_finite"
+        with pytest.raises(ValueError, match=message):
             discovery.add(trajectory, features)
         assert len(discovery.database) == 0
         discovery.add(*on_a_line(0, 5, 20))
@@ -259,10 +235,8 @@ class TestAdd:
 
     @pytest.mark.parametrize("shape", [(3,), (2, 1), (4, 1), (3, 1, 1), ()])
     def test_features_that_do_not_fit(self, shape: tuple[int, ...]) -> None:
-        message = (
-            r"^features must have shape \(m, d\), one row for each of the trajectory's 3 distinct observations, got "
-        )
-        with pytest.raises(ValueError, match=message):
+        text = r"^features must have shape \(m, d\), one row for each of the trajectory's 3 distinct observations, got "
+        with pytest.raises(ValueError, match=text):
             Discovery().add(on_a_line(0, 5, 20)[0], np.zeros(shape))
 
     def test_label_and_features(self) -> None:

@@ -36,5 +36,12 @@ def line(n: int = 12, *, success: bool = True) -> tuple[Trajectory, np.ndarray]:
     return Trajectory(states, visits, actions, rewards, success, not success, success), states
 
 
+def searched(discovery: Discovery) -> float | None:
+    """Where it finds a subgoal after one more trajectory."""
+    discovery.add(*line())
+    subgoal = discovery.search()
+    return None if subgoal is None else float(subgoal.points[0, 0])
+
+
 def of(method: DiscoveryMethod, kind: str = "environment", **settings: float) -> Discovery:
     return Discovery(DiscoverySettings(**settings), method=method, kind=kind)  # type: ignore[arg-type]  # of those that are numbers

@@ -11,8 +11,7 @@ from stable_baselines3 import PPO
 
 from sb3_options import ConceptsInObservation, OptionsWrapper, WithoutConcepts
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from tests.support.helpers import DictEnv
-from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, small_rooms
+from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, Corridor, small_rooms
 
 
 class Blind(gym.Wrapper[Any, Any, Any, Any]):
@@ -78,7 +77,7 @@ def test_the_network_need_not_see_the_concepts() -> None:
     assert torch.equal(extractor(one), extractor(other))
 
 
-@pytest.mark.parametrize("inner", [blind_rooms, DictEnv])
+@pytest.mark.parametrize("inner", [blind_rooms, lambda: Corridor("dict")])
 def test_concepts_are_one_more_part_of_the_observation(inner: Any) -> None:
     env = ConceptsInObservation(inner(), lambda *_: [7, -7], size=2)
     own = inner().observation_space

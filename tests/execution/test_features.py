@@ -12,7 +12,8 @@ from sb3_options import OptionsWrapper
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.concepts import ConceptsInObservation
 from sb3_options.execution.features import MAX_FEATURES, flat_size, form_of, resolve, signature
-from tests.support.helpers import CountingEnv, DictEnv, place_of
+from tests.support.helpers import CountingEnv
+from tests.support.sb3_helpers import Corridor, places
 
 
 def env_with(space: Any) -> gym.Env[Any, Any]:
@@ -43,18 +44,6 @@ def test_defaults(space: Any, kind: str, observations: Any, expected: Any) -> No
     assert features.size == len(expected[0])
 
 
-@pytest.mark.parametrize(
-    "space",
-    [
-        spaces.Discrete(MAX_FEATURES + 1),
-        spaces.Box(0, 255, (64, 64, 3), np.uint8),
-        spaces.Dict({"a": spaces.Discrete(2)}),
-    ],
-)
-def test_spaces_without_a_default(space: Any) -> None:
-    assert resolve(env_with(space), None) is None
-
-
 def test_the_environments_own() -> None:
     env = gym.make("sb3_options/TwoRooms-v0")
     features = resolve(env, None)
@@ -70,7 +59,7 @@ def test_the_given_one_goes_first() -> None:
 
 
 def test_dict_observations() -> None:
-    features = resolve(DictEnv(), place_of)
+    features = resolve(Corridor("dict"), places)
     assert features is not None
     assert (features.kind, features.size) == ("given", 1)
 
@@ -231,6 +220,8 @@ def test_groups_of_a_given_map_are_its_own() -> None:
 
 @pytest.mark.parametrize(("n", "kind"), [(MAX_FEATURES, "identity"), (MAX_FEATURES + 1, None)])
 def test_the_largest_space_with_a_default(n: int, kind: str | None) -> None:
+    for space in (spaces.Dict({"a": spaces.Discrete(2)}), spaces.Box(0, 255, (64, 64, 3), np.uint8)):
+        assert resolve(env_with(space), None) is None
     for space in (spaces.Box(0, 1, (n,)), spaces.Discrete(n)):
         features = resolve(env_with(space), None)
         name = "categorical" if kind and isinstance(space, spaces.Discrete) else kind
@@ -241,6 +232,9 @@ DIFFERENT: list[Any] = [
     *(spaces.Discrete(4), spaces.Discrete(4, start=1), spaces.MultiDiscrete([4, 4]), spaces.MultiDiscrete([4, 5])),
     *(spaces.Box(0, 1, (2,)), spaces.Box(0, 1, (3,)), spaces.Box(0, 2, (2,)), spaces.Box(-1, 1, (2,))),
     *(spaces.Box(0, 1, (2,), np.float64), spaces.MultiDiscrete([4, 4], start=[1, 0]), spaces.MultiBinary(2)),
+    *(spaces.Box(0, 1, (2, 1)), spaces.Box(np.zeros(2, np.float32), np.array([1, 2], np.float32))),
+    *(spaces.MultiDiscrete([3] * 2000), spaces.MultiDiscrete([3] * 1000 + [4] + [3] * 999), spaces.Box(0, 1, (2000,))),
+    spaces.Box(np.zeros(2000, np.float32), 1 + (np.arange(2000) == 1000).astype(np.float32)),
     *(spaces.Dict({key: spaces.Discrete(n)}) for key in "ab" for n in (2, 3)),
     spaces.Dict({"a": spaces.Dict({"b": spaces.Discrete(2)})}),
     spaces.Dict({"a": spaces.Discrete(2), "b": spaces.Discrete(3)}),
@@ -257,10 +251,9 @@ def test_signatures_differ_where_spaces_do() -> None:
     assert [each.space for each in told[:1]] == ["Discrete(4)"]
     turned = spaces.Dict({"b": spaces.Discrete(3), "a": spaces.Discrete(2)})
     assert signature(turned, None).digest == signature(DIFFERENT[-4], None).digest
-    assert (told[0].features, signature(DIFFERENT[0], resolve(env_with(DIFFERENT[0]), None)).features) == (
-        None,
-        "categorical",
-    )
+    assert signature(spaces.Discrete(4, seed=3), None) == told[0]
+    assert told[0].features is None
+    assert signature(DIFFERENT[0], resolve(env_with(DIFFERENT[0]), None)).features == "categorical"
 
 
 @pytest.mark.parametrize(("n", "cut"), [(200, False), (201, True)])

@@ -9,7 +9,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionDQN, OptionsWrapper
 from sb3_options.learning.masked import unnormalized
-from tests.support.helpers import CountingEnv, DictEnv
+from tests.support.helpers import CountingEnv
+from tests.support.sb3_helpers import Corridor
 
 
 @pytest.mark.parametrize("masks", [[0, 1], [[False, True]], np.array([0.0, 1.0])])
@@ -29,19 +30,19 @@ def test_masks_are_truth_values_or_numbers(masks: Any) -> None:
 
 def clipping() -> tuple[VecNormalize, dict[str, npt.NDArray[Any]]]:
     """Dict observations of which a number is clipped, and the current ones as the algorithm sees them."""
-    normalizer = VecNormalize(DummyVecEnv([DictEnv]), norm_obs_keys=["place"], clip_obs=0.5)
+    normalizer = VecNormalize(DummyVecEnv([lambda: Corridor("dict")]), norm_obs_keys=["place"], clip_obs=0.5)
     normalizer.reset()
     for action in (1, 1, 1, 1):
         seen, *_ = normalizer.step(np.array([action]))
     assert isinstance(seen, dict)
-    assert seen["place"] == 0.5
+    assert seen["place"].tolist() == [[0.5, 0.5]]
     return normalizer, seen
 
 
 def test_current_dict_observations_are_recognised() -> None:
     normalizer, seen = clipping()
     assert unnormalized(normalizer, seen) is normalizer.old_obs
-    other = {**seen, "colour": seen["colour"] + 1}  # one of two parts differs
+    other = {**seen, "picture": seen["picture"] + 1}  # one of two parts differs
     assert unnormalized(normalizer, other) is not normalizer.old_obs
 
 

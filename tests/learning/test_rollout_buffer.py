@@ -26,7 +26,7 @@ from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.rollout_buffer import SMDPAdvantages
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, DictEnv, place_of, steady_option
+from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import Corridor, env_of, places
 
 GAMMA, LAMBDA = 0.9, 0.8
@@ -182,7 +182,7 @@ def test_a_users_own_environment_of_variable_durations(algorithm: Any) -> None:
 
 
 def test_dict_observations() -> None:
-    env = OptionsWrapper(DictEnv(), 1, gamma=GAMMA, feature_map=place_of)
+    env = OptionsWrapper(Corridor("dict"), 1, gamma=GAMMA, feature_map=places)
     env.bank.add(steady_option(1, max_duration=3))
     model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=32, n_epochs=1, gamma=GAMMA)
     model.learn(32, callback=PrimitiveStepsCallback())

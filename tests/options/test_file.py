@@ -6,11 +6,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium import spaces
 
 from sb3_options import OptionBank, OptionsWrapper
 from sb3_options.envs import FOUR_ROOMS
-from sb3_options.execution.features import signature
 from sb3_options.experience.observations import flatten
 from sb3_options.options.file import SpaceSignature, check_signature
 from sb3_options.options.option import SubgoalOption
@@ -35,37 +33,6 @@ def saved(env: OptionsWrapper, path: Path, policy_input: PolicyInput = "observat
     env.bank.add(option(policy_input, size))
     env.bank.save(path)
     return path
-
-
-class TestSpaceSignature:
-    SPACES: tuple[spaces.Space[Any], ...] = (
-        spaces.Box(0.0, 1.0, (3,)),
-        spaces.Box(0.0, 1.0, (3, 1)),
-        spaces.Box(0.0, 1.0, (3,), np.float64),
-        spaces.Box(np.zeros(3, np.float32), np.array([1, 1, 2], np.float32)),
-        spaces.Box(0.0, 1.0, (2000,)),
-        spaces.Box(np.zeros(2000, np.float32), 1 + (np.arange(2000) == 1000).astype(np.float32)),
-        spaces.Discrete(3),
-        spaces.Discrete(3, start=1),
-        spaces.MultiDiscrete([3, 4]),
-        spaces.MultiDiscrete([3] * 2000),
-        spaces.MultiDiscrete([3] * 1000 + [4] + [3] * 999),
-        spaces.MultiBinary(3),
-        spaces.Dict(a=spaces.Discrete(3)),
-        spaces.Dict(b=spaces.Discrete(3)),
-        spaces.Dict(a=spaces.Discrete(3), b=spaces.Box(0.0, 1.0, (3,))),
-        spaces.Dict(a=spaces.Dict(a=spaces.Discrete(3))),
-        spaces.Tuple((spaces.Discrete(3), spaces.Discrete(4))),
-    )
-
-    def test_spaces_that_differ_have_different_digests(self) -> None:
-        assert len({signature(space, None).digest for space in self.SPACES}) == len(self.SPACES)
-
-    def test_equal_spaces_have_the_same(self) -> None:
-        seeded = spaces.Box(0.0, 1.0, (3,), seed=3)
-        assert signature(seeded, None) == signature(self.SPACES[0], None)
-        swapped = spaces.Dict([("b", spaces.Box(0.0, 1.0, (3,))), ("a", spaces.Discrete(3))])
-        assert signature(swapped, None).digest == signature(self.SPACES[14], None).digest
 
 
 class TestOtherObservations:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import FloatArray, Observations, batch_size, stack
+from sb3_options.experience.observations import Observations, batch_size, stack
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.option import Option
 
@@ -88,38 +88,6 @@ class TableEnv(gym.Env[int, int]):
         self.time += 1
         info = {"time": self.time, "action": action}
         return self.state, reward, bool(self.terminal[self.state]), self.time == self.time_limit, info
-
-
-class DictEnv(gym.Env[dict[str, Any], int]):
-    """A walk on a line of 10 places, seen as a ``Dict``: reward 1 and the end at place 9, left 0, right 1."""
-
-    LAST = 9
-
-    def __init__(self) -> None:
-        self.action_space: Any = spaces.Discrete(2)
-        self.observation_space: Any = spaces.Dict(
-            {"place": spaces.Box(0.0, float(self.LAST), (1,), np.float32), "colour": spaces.Box(0, 255, (3,), np.uint8)}
-        )
-        self.place = 0
-
-    def _observation(self) -> dict[str, Any]:
-        return {"place": np.array([self.place], dtype=np.float32), "colour": np.full(3, self.place, dtype=np.uint8)}
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        self.place = int(self.np_random.integers(3))
-        return self._observation(), {}
-
-    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        self.place = min(max(self.place + (1 if action == 1 else -1), 0), self.LAST)
-        arrived = self.place == self.LAST
-        return self._observation(), float(arrived), arrived, False, {}
-
-
-def place_of(observations: Observations) -> FloatArray:
-    """A feature map for `DictEnv`: the place, shape (batch, 1)."""
-    assert not isinstance(observations, np.ndarray)
-    return np.asarray(observations["place"], dtype=np.float64)
 
 
 def table_option(
