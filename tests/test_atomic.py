@@ -3,6 +3,7 @@ import os
 import time
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -45,14 +46,11 @@ def test_a_full_disk_leaves_the_old_file(
     path = tmp_path / "file"
     path.write_bytes(b"old")
 
-    def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
     def write() -> None:
         with atomic_write(path) as temporary:
             temporary.write_bytes(b"new")
 
-    monkeypatch.setattr(owner, name, full)
+    monkeypatch.setattr(owner, name, MagicMock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
     with pytest.raises(OSError, match="No space left on device"):
         write()
     monkeypatch.undo()

@@ -16,15 +16,9 @@ from sb3_options.zoo import ZooOptionsWrapper
 from tests.support.sb3_helpers import FAST_DISCOVERY, RANDOM, TINY, env_of, optioned_rooms, small_rooms
 
 
-def zoo_rooms(n_envs: int = 1, vec_env_cls: type[VecEnv] | None = None) -> VecEnv:
+def zoo_rooms(n_envs: int = 1, vec_env_cls: Any = None) -> VecEnv:
     """As rl-zoo3 makes them."""
-    return make_vec_env(
-        small_rooms,
-        n_envs,
-        seed=0,
-        wrapper_class=ZooOptionsWrapper,
-        vec_env_cls=vec_env_cls,  # type: ignore[arg-type]  # SB3 asks for one of two classes
-    )
+    return make_vec_env(small_rooms, n_envs, seed=0, wrapper_class=ZooOptionsWrapper, vec_env_cls=vec_env_cls)
 
 
 def model_of(venv: Any, gamma: float = 0.9) -> DQN:

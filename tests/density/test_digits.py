@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -123,10 +124,8 @@ def test_what_single_precision_is_worth(scale: float) -> None:
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_units_of_the_features_change_nothing(scale: float) -> None:
     positive, negative = bags_of(1, scale)
-    for search in (DiverseDensity(concept=Point(), scale=scale), DiverseDensity(method="thorough", scale=scale)):
-        best = search.search(Bags.pack(positive, negative))[0]
+    searches: list[dict[str, Any]] = [{"concept": Point()}, {"method": "thorough"}, {}]
+    for settings in searches:
+        best = DiverseDensity(**settings, scale=scale).search(Bags.pack(positive, negative))[0]
         expected = exactly(best.scale * best.point, best.scale, positive, negative)[0]
         assert best.log_density == pytest.approx(expected, rel=1e-9)
-    peak = DiverseDensity(scale=scale).search(Bags.pack(positive, negative))[0]
-    expected = exactly(peak.scale * peak.point, peak.scale, positive, negative)[0]
-    assert peak.log_density == pytest.approx(expected, rel=1e-9)

@@ -45,9 +45,12 @@ def walk(rng: np.random.Generator, success: bool) -> tuple[Trajectory, FloatArra
     return trajectory(states, success)
 
 
-def discovered(groups: Sequence[FeatureGroup], settings: DiscoverySettings = SOON) -> Discovery:
-    discovery = Discovery(settings, groups=groups)
-    rng = np.random.default_rng(0)
+def discovered(groups: Sequence[FeatureGroup]) -> Discovery:
+    return going_on(Discovery(SOON, groups=groups), seed=0)
+
+
+def going_on(discovery: Discovery, seed: int) -> Discovery:
+    rng = np.random.default_rng(seed)
     for i in range(60):
         discovery.add(*walk(rng, success=i % 2 == 0))
         discovery.search()
@@ -158,7 +161,7 @@ def test_the_unsuccessful_count_for_what_they_did_in_the_time_of_a_success() -> 
     def comes_to_the_key(after: int, duration: int, success: bool) -> LabelledTrajectory:
         states = [[0, 0, 0, 0, i] for i in range(duration + 1)]
         states[after][:2] = [1, 1]
-        return LabelledTrajectory(*trajectory(states, success), success)
+        return labelled(states, success)
 
     lived = [comes_to_the_key(*how) for how in ((1, 2, True), (3, 4, True), (2, 9, False), (9, 9, False))]
     own = Contrast(KEY, 0.5)
@@ -167,10 +170,8 @@ def test_the_unsuccessful_count_for_what_they_did_in_the_time_of_a_success() -> 
 
 
 def test_what_is_near_counts_with_when_it_was_first() -> None:
-    near = Contrast(FeatureGroup("key", [0, 1], present=[[0]], scale=[10, 1]), 1.0)
-    early = LabelledTrajectory(*trajectory([[0, 0, 0, 0, 0], [1, 2, 0, 0, 0], [1, 1, 0, 0, 0]], False), False)
-    success = LabelledTrajectory(*trajectory([[0, 0, 0, 0, 0], [1, 1, 0, 0, 0]], True), True)
-    near.update([early, success])
+    near, early = Contrast(KEY, 1.0), labelled([[0, 0, 0, 0, 0], [1, 2, 0, 0, 0], [1, 1, 0, 0, 0]], False)
+    near.update([early, labelled([[0, 0, 0, 0, 0], [1, 1, 0, 0, 0]], True)])
     assert values_of(near, np.array([[1.0, 1, 0, 0, 0]])) == pytest.approx(2 / 3 - 2 / 3)  # near in time
 
 
@@ -180,10 +181,7 @@ def test_a_subgoal_that_is_withdrawn_comes_again() -> None:
     assert discovery.found == []
     assert "no saved trajectory leads to the subgoal reliably enough" in discovery.why_nothing()
     state = state_of(discovery)
-    rng = np.random.default_rng(1)
-    for i in range(60):
-        discovery.add(*walk(rng, success=i % 2 == 0))
-        discovery.search()
+    going_on(discovery, seed=1)
     assert [(f.subgoal.group, f.subgoal.points.tolist()) for f in discovery.found] == [(KEY, [[1, 1]])]
     other = Discovery(SOON, groups=[WALL, KEY])
     restore(other, state)

@@ -1,19 +1,18 @@
 """What is rarely come upon stands for success until enough trajectories have succeeded."""
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sb3_options.checkpoints.tree import decode, encode
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.salience import LEAST_TRAJECTORIES, OutcomeDatabase, Salience
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.state import restore, state_of
+from tests.checkpoints.test_tree import there_and_back
 
 # Features: door visible, door ahead, goal visible, noise.
 DOOR = FeatureGroup("door", [0, 1], present=[[0]], scale=[10, 1])
@@ -126,8 +125,7 @@ def test_a_database_goes_on_with_its_state() -> None:
     database, other = (OutcomeDatabase(100, np.inf, Salience(GROUPS, 0.5, 3)) for _ in range(2))
     for each in lives:
         database.add(each)
-    content, arrays = encode(state_of(database))
-    restore(other, decode(json.loads(json.dumps(content)), arrays))
+    restore(other, there_and_back(state_of(database)))
     assert sum(each.whole is not None for each in other) == 6
     for both in (database, other):
         both.add(rare())
@@ -184,9 +182,8 @@ def test_trajectories_that_are_labelled_anew_stay_in_the_order_in_which_they_cam
     lives += [lived([NOTHING, FAR, NEAR, BEHIND], success=True) for _ in range(3)]
     for i, each in enumerate(lives):
         if i == 30:  # a checkpoint lies between
-            content, arrays = encode(state_of(database))
             other = OutcomeDatabase(10, np.inf, Salience(GROUPS, 0.2, 3))
-            restore(other, decode(json.loads(json.dumps(content)), arrays))
+            restore(other, there_and_back(state_of(database)))
         database.add(each)
         if i >= 30:
             other.add(each)

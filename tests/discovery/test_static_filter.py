@@ -73,7 +73,6 @@ class TestOfAUser:
         assert seen == [[[10], [20], [30]], [10], [20]]
 
     def test_of_another_shape(self) -> None:
-        with pytest.raises(
-            ValueError, match=r"^static_filter must return shape \(3,\), one bool a state, got \(2,\)\.$"
-        ):
+        text = r"^static_filter must return shape \(3,\), one bool a state, got \(2,\)\.$"
+        with pytest.raises(ValueError, match=text):
             self.kept(lambda f, s, e: np.ones(2, dtype=bool))

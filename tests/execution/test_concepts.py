@@ -23,20 +23,17 @@ class Blind(gym.Wrapper[Any, Any, Any, Any]):
         self.place = np.zeros(2)
 
     def reset(self, **kwargs: Any) -> Any:
-        """Start."""
         self.place, info = self.env.reset(**kwargs)
         self.steps = 0
         return np.zeros(1, np.float32), {**info, "place": self.place}
 
     def step(self, action: Any) -> Any:
-        """One step."""
         self.place, *rest, info = self.env.step(action)
         self.steps += 1
         return np.full(1, self.steps, np.float32), *rest, {**info, "place": self.place}
 
 
 def blind_rooms() -> gym.Env[Any, Any]:
-    """Two small rooms."""
     return Blind(small_rooms(observation="xy"))
 
 

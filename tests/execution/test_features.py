@@ -220,8 +220,8 @@ def test_groups_of_a_given_map_are_its_own() -> None:
 
 @pytest.mark.parametrize(("n", "kind"), [(MAX_FEATURES, "identity"), (MAX_FEATURES + 1, None)])
 def test_the_largest_space_with_a_default(n: int, kind: str | None) -> None:
-    for space in (spaces.Dict({"a": spaces.Discrete(2)}), spaces.Box(0, 255, (64, 64, 3), np.uint8)):
-        assert resolve(env_with(space), None) is None
+    for none in (spaces.Dict({"a": spaces.Discrete(2)}), spaces.Box(0, 255, (64, 64, 3), np.uint8)):
+        assert resolve(env_with(none), None) is None
     for space in (spaces.Box(0, 1, (n,)), spaces.Discrete(n)):
         features = resolve(env_with(space), None)
         name = "categorical" if kind and isinstance(space, spaces.Discrete) else kind

@@ -82,9 +82,8 @@ def test_is_put_around_the_outermost_that_does_not_tell() -> None:
         *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "RecordActions", "CartPoleEnv")
     ]
     assert "RecordActions" not in chain(layers.prepare(OptionsWrapper(small_rooms(), 2)))
-    with pytest.raises(
-        ValueError, match=r"^Checkpoints of Own are not supported above OptionsWrapper: put the wrapper"
-    ):
+    text = r"^Checkpoints of Own are not supported above OptionsWrapper: put the wrapper"
+    with pytest.raises(ValueError, match=text):
         layers.prepare(Own(OptionsWrapper(small_rooms(), 2)))
 
 

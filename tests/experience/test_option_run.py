@@ -10,18 +10,8 @@ import pytest
 from sb3_options.experience.option_run import OptionRun
 
 PRIMITIVE = OptionRun(-1, 1, 0.9, 0.9, "primitive")
-OPTION = OptionRun(
-    2,
-    3,
-    0.9**3,
-    0.9,
-    "subgoal",
-    np.arange(3.0)[:, None],
-    np.array([1, 0, 1]),
-    np.zeros(3),
-    np.ones((3, 4), dtype=bool),
-    True,
-)
+STEPS = np.arange(3.0)[:, None], np.array([1, 0, 1]), np.zeros(3), np.ones((3, 4), dtype=bool)
+OPTION = OptionRun(2, 3, 0.9**3, 0.9, "subgoal", *STEPS, True)
 
 
 @pytest.mark.parametrize("run", [PRIMITIVE, OPTION, OPTION._replace(available=None)])

@@ -136,8 +136,8 @@ class TestOptionDQN:
         assert model._available(seen)[:, 2].tolist() == [2 <= p < 8 for p in now]
 
     def test_masks_of_clipped_observations_are_those_of_the_originals(self) -> None:
-        venv = DummyVecEnv([lambda: optioned_corridor("box")] * 2)
-        venv = VecNormalize(venv, gamma=GAMMA, clip_obs=0.5, norm_reward=False)
+        inner = DummyVecEnv([lambda: optioned_corridor("box")] * 2)
+        venv = VecNormalize(inner, gamma=GAMMA, clip_obs=0.5, norm_reward=False)
         model = OptionDQN("MlpPolicy", venv, gamma=GAMMA, buffer_size=200, seed=0)
         model.q_net.eval()
         rng, masks = np.random.default_rng(0), []

@@ -27,9 +27,8 @@ def test_bare_worker_processes_are_refused() -> None:
     workers = SubprocVecEnv([bare_workers])
     try:
         model = DQN("MlpPolicy", workers, buffer_size=10)
-        with pytest.raises(
-            ValueError, match=r"of a SubprocVecEnv cannot be wrapped from here: pass env=.*gamma\": 0.99"
-        ):
+        text = r"of a SubprocVecEnv cannot be wrapped from here: pass env=.*gamma\": 0.99"
+        with pytest.raises(ValueError, match=text):
             expand_action_space(model)
     finally:
         workers.close()

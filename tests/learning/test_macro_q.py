@@ -22,7 +22,7 @@ from sb3_options import MacroQ, OptionsWrapper
 from sb3_options.envs import GridWorld
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.macro_q import LONGEST_ROLLOUT, LinearPolicy, OneHot
-from tests.support.helpers import CountingEnv, steady_option, table_option
+from tests.support.helpers import CountingEnv, numbered, steady_option, table_option
 from tests.support.sb3_helpers import optioned_rooms, small_rooms
 
 ALPHA, GAMMA = 0.5, 0.9
@@ -30,11 +30,7 @@ ALPHA, GAMMA = 0.5, 0.9
 
 def line(**flags: Any) -> gym.Env[Any, Any]:
     """`CountingEnv` with states 0, 1, 2, … of a line of 6 for observations."""
-    return discrete(CountingEnv(**flags))
-
-
-def discrete(env: CountingEnv) -> gym.Env[Any, Any]:
-    return gym.wrappers.TransformObservation(env, lambda seen: int(seen[0]), spaces.Discrete(6))
+    return numbered(CountingEnv(**flags), 6)
 
 
 class Recorder(BaseCallback):
@@ -358,11 +354,11 @@ class Ring(CountingEnv):
 def test_where_no_episode_ends_rollouts_do() -> None:
     """Between two of them options are installed and closed, and checkpoints are written."""
     recorder = Recorder()
-    MacroQ(OptionsWrapper(discrete(Ring()), 1, gamma=0.9), gamma=0.9, seed=0).learn(3500, callback=recorder)
+    MacroQ(OptionsWrapper(numbered(Ring(), 6), 1, gamma=0.9), gamma=0.9, seed=0).learn(3500, callback=recorder)
     assert recorder.ended == [LONGEST_ROLLOUT, 2 * LONGEST_ROLLOUT, 3 * LONGEST_ROLLOUT, 3500]
 
 
 def test_actions_that_the_environment_forbids_are_never_taken() -> None:
     env = Ring()
-    MacroQ(OptionsWrapper(discrete(env), 1, gamma=0.9), gamma=0.9, epsilon=0.5, seed=0).learn(500)
+    MacroQ(OptionsWrapper(numbered(env, 6), 1, gamma=0.9), gamma=0.9, epsilon=0.5, seed=0).learn(500)
     assert set(env.actions) == {0, 1}

@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -102,11 +103,7 @@ class TestFile:
         path = tmp_path / "options.safetensors"
         empty_bank().save(path)
         old = path.read_bytes()
-
-        def full(*_: Any) -> None:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-        monkeypatch.setattr(owner, name, full)
+        monkeypatch.setattr(owner, name, MagicMock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
         with pytest.raises(OSError, match="No space left on device"):
             filled_bank().save(path)
         monkeypatch.undo()

@@ -1,5 +1,7 @@
 """Imagined steps, worked out by hand on a thing that comes nearer by 1 with each step ahead."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from sb3_options.options.imagined import LEAST_STEPS, MOST_POINTS, displacements
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Transitions
+from tests.options.test_reach import repeated
 
 TURN, AHEAD = 0, 1
 # Of all features: visible, forward, lateral, free ahead; a thing is seen at (forward, lateral).
@@ -29,12 +32,10 @@ STATES = np.array(
 )
 
 
-def steps(*taken: tuple[int, int, int, int]) -> Transitions:
-    """Each (began, action, led, how often), as rows of `STATES`."""
-    began, actions, led = (
-        np.repeat([step[i] for step in taken], [step[3] for step in taken]).astype(np.int64) for i in range(3)
-    )
-    return Transitions(STATES, began, actions, np.zeros(len(began)), led, led == 0)
+def steps(*taken: tuple[int, int, int, int], states: FloatArray = STATES, ends: Sequence[int] = (0,)) -> Transitions:
+    """Each (began, action, led, how often), as rows of the states."""
+    began, actions, led = repeated(*taken)
+    return Transitions(states, began, actions, np.zeros(len(began)), led, np.isin(led, ends))
 
 
 AHEAD_IS_NEARER = steps((1, AHEAD, 0, 19), (4, AHEAD, 1, 5), (2, TURN, 3, 30), (3, AHEAD, 3, 30))
@@ -74,9 +75,8 @@ def test_the_initiation_set_goes_on_where_nobody_was() -> None:
 def test_of_two_ways_the_better_one_is_taken(order: list[int]) -> None:
     """From (3, 0) ahead leads to what is worth -2, sideways to what is worth -9, whichever is found first."""
     states = np.array([[1, 1, 0, 1], [1, 1, 1, 1], [1, 2, 0, 1], [1, 3, 1, 1], [1, 2, 1, 1]], dtype=np.float64)
-    saved = [(2, AHEAD, 0), (4, AHEAD, 1), (3, AHEAD, 4), (2, TURN, 4)]
-    began, actions, led = (np.repeat([step[i] for step in saved], 40) for i in range(3))
-    transitions = Transitions(states, began, actions, np.zeros(len(began)), led, np.isin(led, (0, 1)))
+    saved = [(2, AHEAD, 0, 40), (4, AHEAD, 1, 40), (3, AHEAD, 4, 40), (2, TURN, 4, 40)]
+    transitions = steps(*saved, states=states, ends=(0, 1))
     values = np.full((3, 2), -np.inf)
     values[:, AHEAD] = [-2.0, -9.0, -8.0]  # of (2, 0), (3, 1) and (2, 1)
     points = states[[2, 3, 4]][order]
@@ -119,9 +119,7 @@ def test_there_is_a_limit() -> None:
 
 def test_a_rule_of_another_context_or_that_leads_to_what_was_seen_hides_no_later_one() -> None:
     states = np.array([[1, 5, 0, 0], [1, 5, 1, 0], [1, 2, 1, 1], [1, 2, 0, 1], [1, 1, 0, 1]], dtype=np.float64)
-    saved = [(0, TURN, 1), (2, TURN, 3), (3, AHEAD, 4)]
-    began, actions, led = (np.repeat([step[i] for step in saved], 40) for i in range(3))
-    transitions = Transitions(states, began, actions, np.zeros(len(began)), led, led == 4)
+    transitions = steps((0, TURN, 1, 40), (2, TURN, 3, 40), (3, AHEAD, 4, 40), states=states, ends=(4,))
     assert [rule.context[1] for rule in displacements(transitions, MOVING)] == [0, 1, 1]
     initiation = Region(states[2:4], np.array(GROUP.scale), 0.5, group=GROUP)
     region, _ = imagined_farther(initiation, transitions, TabularPolicy(states[2:4], np.zeros((2, 2))), SETTINGS)

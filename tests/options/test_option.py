@@ -38,9 +38,8 @@ def test_the_three_functions_of_a_hand_made_option() -> None:
 )
 @pytest.mark.parametrize("make", [steady_option, subgoal_option])
 def test_max_duration_out_of_range(make: Any, duration: Any) -> None:
-    with pytest.raises(
-        ValueError, match=r"^max_duration must be a whole number of primitive steps, at least 1, got .+\.$"
-    ):
+    text = r"^max_duration must be a whole number of primitive steps, at least 1, got .+\.$"
+    with pytest.raises(ValueError, match=text):
         make(max_duration=duration)
 
 

@@ -1,6 +1,7 @@
 """From where a policy reaches its subgoal, worked out by hand."""
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from sb3_options.density.regions import Region
@@ -13,11 +14,15 @@ STAY, GO = 0, 1
 AWAY, FAR, NEAR, THERE = range(4)
 
 
+def repeated(*taken: tuple[int, int, int, int]) -> npt.NDArray[np.int64]:
+    """Each (began, action, led, how often) as columns that often, (3, n)."""
+    steps = np.array(taken, dtype=np.int64)
+    return np.repeat(steps[:, :3], steps[:, 3], axis=0).T
+
+
 def steps(*taken: tuple[int, int, int, int]) -> Transitions:
     """Each (began, action, led, how often); the subgoal ends the task, and so does what lies away from I."""
-    began, actions, led = (
-        np.repeat([step[i] for step in taken], [step[3] for step in taken]).astype(np.int64) for i in range(3)
-    )
+    began, actions, led = repeated(*taken)
     rewards = np.where(led == THERE, 0.0, np.where(led == AWAY, -100.0, -1.0))
     return Transitions(np.arange(4.0)[:, None], began, actions, rewards, led, (led == THERE) | (led == AWAY))
 

@@ -59,6 +59,11 @@ class CountingEnv(gym.Env[npt.NDArray[np.float64], int]):
         return np.array([float(self.time)]), float(self.time), terminated, truncated, {"time": self.time}
 
 
+def numbered(env: CountingEnv, n_states: int) -> gym.Env[Any, Any]:
+    """The same with ``Discrete`` observations."""
+    return gym.wrappers.TransformObservation(env, lambda seen: int(seen[0]), spaces.Discrete(n_states))
+
+
 class TableEnv(gym.Env[int, int]):
     """A random finite MDP with ``Discrete`` observations: noisy successors, rewards, terminal states, a time limit.
 
@@ -90,21 +95,13 @@ class TableEnv(gym.Env[int, int]):
         return self.state, reward, bool(self.terminal[self.state]), self.time == self.time_limit, info
 
 
-def table_option(
-    initiation: npt.ArrayLike,
-    policy: npt.ArrayLike,
-    termination: npt.ArrayLike,
-    *,
-    max_duration: int = 100,
-    name: str = "table",
-) -> Option:
-    """A hand-made option for `Discrete` observations, or for those of `CountingEnv`, from one entry per state."""
-    tables = [np.asarray(table) for table in (initiation, policy, termination)]
+def table_option(*tables: npt.ArrayLike, max_duration: int = 100, name: str = "table") -> Option:
+    """A hand-made option for observations that are numbers, from one entry of I, π and β per state."""
 
     def look_up(table: npt.NDArray[Any]) -> Callable[[Observations], npt.NDArray[Any]]:
         return lambda observations: table[np.asarray(observations).reshape(len(observations)).astype(np.int64)]
 
-    return Option(*(look_up(t) for t in tables), max_duration=max_duration, name=name)
+    return Option(*(look_up(np.asarray(t)) for t in tables), max_duration=max_duration, name=name)
 
 
 def steady_option(action: int = 0, *, max_duration: int = 100, name: str = "steady") -> Option:

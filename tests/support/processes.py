@@ -18,15 +18,8 @@ HANGING = 600
 """Seconds after which a process counts as hanging. No test may take so long, however busy the machine."""
 
 LIBRARIES = [
-    "gymnasium",
-    "matplotlib.figure",
-    "pydantic",
-    "safetensors.numpy",
-    "sb3_contrib",
-    "scipy.stats",
-    "stable_baselines3",
-    "torch",
-    "torch.utils.tensorboard",
+    *("gymnasium", "matplotlib.figure", "pydantic", "safetensors.numpy", "sb3_contrib", "scipy.stats"),
+    *("stable_baselines3", "torch", "torch.utils.tensorboard"),
 ]
 """What the fork server imports; what is not installed is left out."""
 
