@@ -8,15 +8,10 @@ from experiments.discovery.summary import summarise
 
 
 def result(episode: int | None, distance: int | None) -> dict[str, object]:
-    return {
-        "seed": 0,
-        "episodes": 99,
-        "final_steps": 30.0,
-        "episode": episode,
-        "primitive_step": None if episode is None else 100 * episode,
-        "subgoal": None if distance is None else [10 + distance, 5],
-        "distance": distance,
-    }
+    subgoal = None if distance is None else [10 + distance, 5]
+    step = None if episode is None else 100 * episode
+    found = {"episode": episode, "primitive_step": step, "subgoal": subgoal, "distance": distance}
+    return {"seed": 0, "episodes": 99, "final_steps": 30.0, **found}
 
 
 def test_summary_counts_near_and_early_runs_only() -> None:

@@ -17,13 +17,11 @@ from sb3_options import OptionsWrapper
 def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stages = Stage("MiniGrid-Empty-5x5-v0", 600), Stage("MiniGrid-MultiRoom-N2-S4-v0", 600)
     monkeypatch.setitem(FAMILIES, "small", stages)
-    monkeypatch.setattr(settings, "N_ENVS", 2)
-    monkeypatch.setattr(settings, "EPISODES", 2)
-    monkeypatch.setitem(settings.PPO, "n_steps", 64)
-    monkeypatch.setitem(settings.PPO, "batch_size", 64)
-    monkeypatch.setattr(settings, "ZOO_N_ENVS", 2)
-    monkeypatch.setitem(settings.ZOO, "n_steps", 64)
-    monkeypatch.setitem(settings.ZOO, "n_epochs", 1)
+    for name in ("N_ENVS", "ZOO_N_ENVS", "EPISODES"):
+        monkeypatch.setattr(settings, name, 2)
+    for of, name, value in ((settings.PPO, "batch_size", 64), (settings.ZOO, "n_epochs", 1)):
+        monkeypatch.setitem(of, "n_steps", 64)
+        monkeypatch.setitem(of, name, value)
     main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1, family="small"))
     written = json.loads((tmp_path / "results.json").read_text())
     assert set(written["summary"]["arms"]) == set(ARMS)
@@ -49,13 +47,8 @@ def test_hand_made_options_solve_a_small_task_by_themselves() -> None:
 
 
 def curve(*points: tuple[int, float], **more: Any) -> dict[str, Any]:
-    return {
-        "curve": [list(point) for point in points],
-        "option_runs": {},
-        "seconds": 1.0,
-        "processor_seconds": 0.5,
-        **more,
-    }
+    taken = {"option_runs": {}, "seconds": 1.0, "processor_seconds": 0.5}
+    return {"curve": [list(point) for point in points], **taken, **more}
 
 
 def test_frames_count_those_of_all_stages() -> None:

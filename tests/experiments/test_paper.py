@@ -17,22 +17,10 @@ from sb3_options.experience.trajectories import LabelledTrajectory
 from tests.support.helpers import trajectory_of
 
 TINY = PaperSettings(
-    trials=6,
-    min_positive=2,
-    threshold=0.05,
-    max_places=50,
-    max_extent=50.0,
-    histogram_trials=(2, 5),
-    density_trials=4,
-    control_trials=6,
-    transfer_trials=2,
-    reuse_trials=1,
-    negative_step_limit=300,
-    negative_trials=6,
-    replay_sweeps=2,
-    step_limit=2500,
-    random_step_limit=1000,
-)
+    min_positive=2, threshold=0.05, max_places=50, max_extent=50.0, replay_sweeps=2,
+    step_limit=2500, random_step_limit=1000, negative_step_limit=300, trials=6, histogram_trials=(2, 5),
+    density_trials=4, control_trials=6, transfer_trials=2, reuse_trials=1, negative_trials=6,
+)  # fmt: skip
 RATIO = {"mean", "low", "high"}
 
 

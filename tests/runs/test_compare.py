@@ -93,9 +93,8 @@ def test_runs_that_differ_in_their_seed_alone_are_a_group(tmp_path: Path) -> Non
     }
     assert list(grouped(runs[:2])) == ["ppo/a"]
     other = read_run(logged(tmp_path / "dqn", [1.0], {"algo": "dqn", "n_envs": 1, "algo_kwargs": {"batch_size": 64}}))
-    assert list(grouped([run("b_1"), other])) == ["algo ppo", "algo dqn"], (
-        "what an algorithm has of its own goes with it"
-    )
+    own = "what an algorithm has of its own goes with it"
+    assert list(grouped([run("b_1"), other])) == ["algo ppo", "algo dqn"], own
     mine = run("b_2", algo_kwargs={"batch_size": 8})
     assert list(grouped([run("b_1"), mine, other]))[1] == "algo ppo, algo_kwargs.batch_size 8"
     far = [run(f"c_{seed}", seed=seed, env_kwargs={"goal": [20, 0], "max_steps": 100}, gamma=0.5) for seed in (1, 2)]
@@ -104,10 +103,8 @@ def test_runs_that_differ_in_their_seed_alone_are_a_group(tmp_path: Path) -> Non
 
 def test_runs_of_others_are_grouped_by_their_folders(tmp_path: Path) -> None:
     runs = [read_run(logged(tmp_path / algo / f"CartPole-v1_{n}", [1.0])) for algo in ("ppo", "dqn") for n in (1, 2)]
-    assert {name: len(members) for name, members in grouped(runs).items()} == {
-        "ppo/CartPole-v1": 2,
-        "dqn/CartPole-v1": 2,
-    }
+    sizes = {name: len(members) for name, members in grouped(runs).items()}
+    assert sizes == {"ppo/CartPole-v1": 2, "dqn/CartPole-v1": 2}
 
 
 def folders(groups: dict[str, list[Run]]) -> dict[str, list[Path]]:

@@ -3,6 +3,7 @@
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
@@ -15,24 +16,15 @@ from sb3_options.runs import demo
 from sb3_options.runs.commands import DemoConfig
 from tests.support.sb3_helpers import SMALL_ROOMS
 
-SMALL = demo.CLAIMS["rooms"]._replace(
-    source={
-        "env": "sb3_options/TwoRooms-v0",
-        "env_kwargs": {"map": SMALL_ROOMS, "max_steps": 100},
-        "n_timesteps": 6_000,
-    },
-    target={
-        "env": "sb3_options/TwoRooms-v0",
-        "env_kwargs": {"map": SMALL_ROOMS, "max_steps": 40},
-        "n_timesteps": 3_000,
-    },
-    evaluate_every=1_000,
-    cells=(9, 5),
-)
+
+def small(max_steps: int, n_timesteps: int) -> dict[str, Any]:
+    kwargs = {"map": SMALL_ROOMS, "max_steps": max_steps}
+    return {"env": "sb3_options/TwoRooms-v0", "env_kwargs": kwargs, "n_timesteps": n_timesteps}
 
 
 def test_a_demonstration_leaves_table_picture_film_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(demo.CLAIMS, "rooms", SMALL)
+    claim = demo.CLAIMS["rooms"]._replace(source=small(100, 6_000), target=small(40, 3_000), cells=(9, 5))
+    monkeypatch.setitem(demo.CLAIMS, "rooms", claim._replace(evaluate_every=1_000))
     printed = io.StringIO()
     config = DemoConfig(out=tmp_path / "demo", seeds=1, seed=3, video=True, progress=False)
     demo.show_demo(config, Console(file=printed, width=120))

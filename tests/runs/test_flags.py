@@ -33,6 +33,7 @@ def test_a_saved_configuration_is_read_back(algo: str, tmp_path: Path) -> None:
     assert config.algo_kwargs["policy_kwargs"]["net_arch"] == [3]
     configs.save(config, tmp_path / "config.yml")
     assert parse(["--config", str(tmp_path / "config.yml")]) == config
+    assert parse(["--config", str(tmp_path)]) == config  # a run folder stands for its settings
 
 
 def test_arguments_of_the_algorithm_are_flags_and_lines_of_a_file(tmp_path: Path) -> None:
@@ -105,12 +106,6 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
         parse(["--config", str(tmp_path / "none.yml")])
     with pytest.raises(FileNotFoundError, match=r"config\.yml"):
         parse(["--config", str(tmp_path)])
-
-
-def test_a_run_folder_stands_for_its_settings(tmp_path: Path) -> None:
-    config = configure(algo="ppo", seed=7)
-    configs.save(config, tmp_path / "config.yml")
-    assert parse(["--config", str(tmp_path)]) == config
 
 
 def test_an_environment_brings_its_own_defaults_and_files_and_flags_win_over_them(tmp_path: Path) -> None:

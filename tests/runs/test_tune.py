@@ -38,6 +38,11 @@ def written(folder: Path, search: Any = None, **base: Any) -> Path:
     return path
 
 
+def short(folder: Path, **values: Any) -> TrainConfig:
+    settings = {"n_steps": 64, "batch_size": 64, "tensorboard_log": str(folder)}
+    return configs.build(BASE | settings | values, "here")
+
+
 def quiet() -> Console:
     return Console(file=io.StringIO(), width=160)
 
@@ -136,23 +141,16 @@ def test_a_trial_that_was_killed_is_tried_again(tmp_path: Path, trained: list[Tr
 
 def test_a_budget_in_which_no_episode_ends_is_named(tmp_path: Path) -> None:
     endless = {"env": "sb3_options/TwoRooms-v0", "env_kwargs": {"max_steps": 1000, "goal": [20, 0]}}
-    run = configs.build(
-        {**BASE, **endless, "n_timesteps": 64, "n_steps": 64, "batch_size": 64, "tensorboard_log": str(tmp_path)},
-        tmp_path,
-    )
     with pytest.raises(ValueError, match="has no TensorBoard file with an evaluation or a training episode"):
-        tune.score(run, Goal("return", 1.0))
+        tune.score(short(tmp_path, n_timesteps=64, **endless), Goal("return", 1.0))
 
 
 def test_the_score_is_the_logarithm_of_the_steps_to_the_goal(tmp_path: Path) -> None:
-    def score(seed: int, reach: str) -> float:
-        settings = {**BASE, "n_timesteps": 2_000, "n_steps": 64, "batch_size": 64, "seed": seed}
-        return tune.score(
-            configs.build({**settings, "tensorboard_log": str(tmp_path / f"{seed}{reach}")}, "here"), Goal.parsed(reach)
-        )
+    def score(reach: str) -> float:
+        return tune.score(short(tmp_path / reach, n_timesteps=2_000, seed=0), Goal.parsed(reach))
 
-    assert score(0, "return=5") < math.log(1_000)
-    assert score(0, "return=490") == pytest.approx(math.log(2_000))
+    assert score("return=5") < math.log(1_000)
+    assert score("return=490") == pytest.approx(math.log(2_000))
 
 
 @pytest.mark.slow

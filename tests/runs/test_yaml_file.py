@@ -59,9 +59,5 @@ def test_a_name_that_is_there_twice_is_refused(text: str, said: str, tmp_path: P
 
 
 def test_a_name_may_be_there_once_in_each_part() -> None:
-    assert parse("a: {decay: 1}\nb: {decay: 2}\n1: x\n'1': y\n") == {
-        "a": {"decay": 1},
-        "b": {"decay": 2},
-        1: "x",
-        "1": "y",
-    }
+    read = parse("a: {decay: 1}\nb: {decay: 2}\n1: x\n'1': y\n")
+    assert read == {"a": {"decay": 1}, "b": {"decay": 2}, 1: "x", "1": "y"}

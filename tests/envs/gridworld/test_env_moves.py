@@ -8,11 +8,9 @@ from scipy.stats import binom
 
 from sb3_options.envs import Direction, GridWorld
 from sb3_options.envs.gridworld.grid_map import Cell
-from tests.envs.gridworld.cells import cell_of, no_display, without_windows
+from tests.envs.gridworld.cells import cell_of
 
-__all__ = ["no_display"]
-
-pytestmark = without_windows
+pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 
 
 def walk(env: GridWorld, start: Cell, actions: list[Direction]) -> list[Cell]:

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from sb3_options.envs import FOUR_ROOMS, KEY_DOOR, KEY_FEATURE_SCALE, TWO_ROOMS, Direction, GridWorld
-from tests.envs.gridworld.cells import KINDS, Kind, cell_of, no_display, without_windows
+from tests.envs.gridworld.cells import KINDS, Kind, cell_of
 
-__all__ = ["no_display"]
-
-pytestmark = without_windows
+pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 
 
 def test_observation_spaces() -> None:

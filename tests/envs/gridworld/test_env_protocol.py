@@ -12,11 +12,9 @@ from sb3_options.envs import FOUR_ROOMS, KEY_DOOR, TWO_ROOMS, Direction, GridWor
 from sb3_options.envs.gridworld.drawing import AGENT, GOAL, RENDER_CELL_PX
 from sb3_options.envs.gridworld.grid_map import Cell
 from sb3_options.envs.gridworld.maps import FOUR_ROOMS_MAX_STEPS, KEY_DOOR_MAX_STEPS, TWO_ROOMS_MAX_STEPS
-from tests.envs.gridworld.cells import KINDS, Kind, no_display, without_windows
+from tests.envs.gridworld.cells import KINDS, Kind
 
-__all__ = ["no_display"]
-
-pytestmark = without_windows
+pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 
 IDS = ["sb3_options/TwoRooms-v0", "sb3_options/FourRooms-v0", "sb3_options/KeyDoor-v0"]
 

@@ -1,5 +1,3 @@
-from collections.abc import Iterator
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -7,13 +5,6 @@ import pytest
 from sb3_options.envs.gridworld.window import Window
 
 pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
-
-
-@pytest.fixture(autouse=True)
-def no_display() -> Iterator[None]:
-    plt.switch_backend("agg")
-    yield
-    plt.close("all")
 
 
 def test_shows_the_last_picture_in_one_figure() -> None:

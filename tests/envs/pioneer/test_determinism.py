@@ -58,6 +58,3 @@ def test_any_history(env_id: str) -> None:
     assert digest(first, SEED + 1) != expected
     first.close()
     second.close()
-
-
-# Forking is fast; SB3's own default is the fork server, each of whose processes imports everything anew.

@@ -3,7 +3,6 @@
 import importlib
 import math
 import sys
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
@@ -15,7 +14,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import sb3_options.envs
 from sb3_options.envs.pioneer.env import GRIPPING, Pioneer, PioneerTask
 from tests.envs.pioneer.expert import Expert, play
-from tests.envs.pioneer.simulators import CLASSES, SIMULATORS, needs_pybullet
+from tests.envs.pioneer.simulators import needs_pybullet
 
 NAMES = ["Pioneer", "PioneerCorner", "PioneerClutter", "PioneerTwoBalls"]
 SHORT, MIDDLE, LONG, LEFT_10, LEFT_45, RIGHT_10, RIGHT_45 = range(7)
@@ -26,13 +25,6 @@ def make(name: str, **kwargs: Any) -> Pioneer:
     env = gymnasium.make(f"sb3_options/{name}-v0", **kwargs).unwrapped
     assert isinstance(env, Pioneer)
     return env
-
-
-@pytest.fixture(params=SIMULATORS)
-def env(request: pytest.FixtureRequest) -> Iterator[PioneerTask]:
-    env = CLASSES[request.param]()
-    yield env
-    env.close()
 
 
 @pytest.mark.parametrize("kind", ["sensors", "retina"])

@@ -1,29 +1,14 @@
 """Whether the simulated robot moves as a robot does, and what simulating it costs."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from sb3_options.envs.pioneer.body import BODY_RADIUS, GRIP_AHEAD
 from sb3_options.envs.pioneer.env import ACTIONS, PioneerTask
-from tests.envs.pioneer.simulators import CLASSES, SIMULATORS
 
 LONG, LEFT_45, RIGHT_45 = 2, 4, 6
-"""MiB."""
-
-
-@pytest.fixture(params=SIMULATORS)
-def cls(request: pytest.FixtureRequest) -> type[PioneerTask]:
-    return CLASSES[request.param]
-
-
-@pytest.fixture
-def env(cls: type[PioneerTask]) -> Iterator[PioneerTask]:
-    env = cls(max_steps=None)
-    yield env
-    env.close()
 
 
 def start(env: PioneerTask, x: float, y: float, heading: float, ball: tuple[float, float] = (-1.5, -1.5)) -> None:

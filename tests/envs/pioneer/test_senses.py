@@ -1,7 +1,6 @@
 """Sonars and retina against geometry."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -11,21 +10,8 @@ from sb3_options.envs.pioneer.arena import OBSTACLE_RADIUS
 from sb3_options.envs.pioneer.body import BALL_RADIUS
 from sb3_options.envs.pioneer.env import DISPLACEMENT, N_SONARS, VISIBLE, WIDTH, PioneerTask
 from sb3_options.envs.pioneer.senses import CAMERA_AHEAD, FIELD_OF_VIEW, SONAR_MAX, SONARS
-from tests.envs.pioneer.simulators import CLASSES, SIMULATORS
 
 HALF = 2.0
-
-
-@pytest.fixture(params=SIMULATORS)
-def cls(request: pytest.FixtureRequest) -> type[PioneerTask]:
-    return CLASSES[request.param]
-
-
-@pytest.fixture
-def env(cls: type[PioneerTask]) -> Iterator[PioneerTask]:
-    env = cls()
-    yield env
-    env.close()
 
 
 def observe(
