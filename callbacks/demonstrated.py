@@ -57,9 +57,12 @@ def _check(trajectory: Any, number: int, traits: Traits) -> None:
         raise TypeError(
             f"demonstrations must be trajectories, as record_demonstrations returns, got {trajectory!r:.80}"
         )
-    space, first = traits.observation_space, take(trajectory.states, 0)
+    space = traits.observation_space
+    first = take(trajectory.states, 0)
     fits = isinstance(first, dict) == isinstance(space, spaces.Dict) and space.contains(first)
-    n_states, n_steps, visits = batch_size(trajectory.states), len(trajectory), trajectory.visits
+    n_states = batch_size(trajectory.states)
+    n_steps = len(trajectory)
+    visits = trajectory.visits
     whole = len(visits) == n_steps + 1 == len(trajectory.rewards) + 1 and np.isin(visits, range(n_states)).all()
     legal = np.isin(trajectory.actions, range(traits.n_primitive)).all()
     if not (fits and whole and legal and np.isfinite(trajectory.rewards).all()):

@@ -49,7 +49,8 @@ class OptionInstaller:
         max_option_exploration: float = 1.0,
         open_untrained: bool = True,
     ) -> None:
-        self.model, self.venv = model, venv
+        self.model = model
+        self.venv = venv
         self.eval_envs = evaluation_envs(callbacks)
         for eval_env in self.eval_envs:
             watch_workers(eval_env)

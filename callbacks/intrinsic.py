@@ -138,7 +138,8 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _last_observations(self) -> list[Observations]:
         """Where each environment arrived, as it gave it itself: a batch of one each."""
-        normalizer, venv = self.model.get_vec_normalize_env(), self.training_env
+        normalizer = self.model.get_vec_normalize_env()
+        venv = self.training_env
         if normalizer is None:
             given = as_wrapper_sees(venv, self.locals["new_obs"])
         else:  # the originals: what was clipped is lost in the others

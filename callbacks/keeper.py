@@ -107,7 +107,8 @@ class OptionKeeper:
 
     def learn_from(self, trajectory: Trajectory, success: bool, episode: int, timestep: int) -> DiscoveredOption | None:
         """Let discovery and the options learn from a trajectory; the option that was made, if any."""
-        options, search = self.options, self.search
+        options = self.options
+        search = self.search
         discovers = self.may_make()
         if success and self.wants_slot() and self.useful.counts_needs(options):
             self.useful.succeeded(options, options.features_of(trajectory.states))

@@ -75,7 +75,8 @@ class LearnedFeatures:
         Where an initiation set has only lost points, its observations are known: their trajectories may have left the
         database.
         """
-        known, points = self._anchors.get(slot), option.initiation_set.points
+        known = self._anchors.get(slot)
+        points = option.initiation_set.points
         if known is None:
             subgoal = nearest_observations(option.subgoal.points, search.database)
             self._anchors[slot] = subgoal, nearest_observations(points, search.database), points

@@ -33,7 +33,8 @@ class PrimitiveRollouts:
     """
 
     def __init__(self, model: Any, buffer: SMDPAdvantages) -> None:
-        self.model, self.buffer = model, buffer
+        self.model = model
+        self.buffer = buffer
         self.n_steps: int = buffer.n_primitive_steps or model.n_steps
         buffer.n_primitive_steps = self.n_steps
         batch = getattr(model, "batch_size", None)

@@ -177,7 +177,8 @@ class Usefulness:
         Where π acts on observations, it is taken to do the same. None if I has no other state.
         """
         if slot in self._failed:
-            region, (failed, did) = later.initiation_set, self._failed[slot]
+            region = later.initiation_set
+            failed, did = self._failed[slot]
             does = later.option_policy.actions(failed) if later.policy_input == "features" else did
             failed = failed[does == did]
             kept = ~(region.points[:, None] == failed[None]).all(axis=2).any(axis=1)

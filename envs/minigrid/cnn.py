@@ -30,7 +30,8 @@ class MiniGridCNN(BaseFeaturesExtractor):
     def __init__(self, observation_space: gym.Space[Any], view: int = 7) -> None:
         if view < 7 or view % 2 == 0:
             raise ValueError(f"MiniGridCNN needs an odd view of 7 cells or more, got {view}.")
-        length, n_cells = int(np.prod(observation_space.shape or (0,))), view * view * DEPTH
+        length = int(np.prod(observation_space.shape or (0,)))
+        n_cells = view * view * DEPTH
         if not n_cells <= length <= n_cells + MOST_WORDS:
             raise ValueError(
                 f"MiniGridCNN needs the vectors of a MiniGridWrapper, of {n_cells} numbers for a view of {view} by "
@@ -41,7 +42,8 @@ class MiniGridCNN(BaseFeaturesExtractor):
             )
         side = (view - 1) // 2 - 2
         super().__init__(observation_space, 64 * side * side + length - n_cells)
-        self.view, self.n_cells = view, n_cells
+        self.view = view
+        self.n_cells = n_cells
         self.cnn = nn.Sequential(
             nn.Conv2d(DEPTH, 16, 2), nn.ReLU(), nn.MaxPool2d(2), nn.Conv2d(16, 32, 2), nn.ReLU(), nn.Conv2d(32, 64, 2),
             nn.ReLU(), nn.Flatten(),

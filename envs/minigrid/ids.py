@@ -9,8 +9,11 @@ import gymnasium as gym
 from sb3_options.envs.minigrid.wrapper import MiniGridWrapper
 from sb3_options.extras import how_to_install
 
-PREFIXES, MODULE = ("MiniGrid-", "BabyAI-"), "minigrid:"
-"""How the ids of MiniGrid begin, and how one names the module that registers it."""
+PREFIXES = ("MiniGrid-", "BabyAI-")
+"""How the ids of MiniGrid begin."""
+
+MODULE = "minigrid:"
+"""Before an id: the module that registers it."""
 
 KEYWORDS = ("mission", "asked")
 """Keyword arguments of `make` that are the wrapper's, and not the environment's."""

@@ -42,7 +42,8 @@ class Missions:
     """
 
     def __init__(self, space: Any) -> None:
-        self.codes, texts = np.zeros((1, 0), dtype=np.uint8), [""]
+        self.codes = np.zeros((1, 0), dtype=np.uint8)
+        texts = [""]
         if space is not None:
             self.codes, texts = _listed(space)
         self._number = {text: i for i, text in enumerate(texts)}

@@ -25,7 +25,8 @@ class PioneerMuJoCo(PioneerTask):
 
     def get_state(self) -> dict[str, Any]:
         """Where the episode is, as numbers and arrays; `set_state` goes on there. ``np_random`` is not in it."""
-        placement, robot = self._placement, self._robot
+        placement = self._placement
+        robot = self._robot
         if placement is None or self._closed:
             return {"placement": None}
         return {

@@ -193,7 +193,8 @@ class DiverseDensity:
         longest = max(positive, key=len)
         if (np.linalg.norm(np.diff(longest, axis=0) * scale, axis=1) < APART).any():
             return []
-        exhaustive, points = self.method == "exhaustive", positive[0]
+        exhaustive = self.method == "exhaustive"
+        points = positive[0]
         if not exhaustive:
             smallest = sorted(range(len(positive)), key=lambda i: len(positive[i]))[:SMALLEST_BAGS]
             points = positive[min(smallest)]

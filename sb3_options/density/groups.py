@@ -49,7 +49,8 @@ class FeatureGroup:
 
     def __post_init__(self) -> None:
         """Make the fields tuples, which compare, and refuse those that do not fit each other."""
-        k, own = len(self.features), set(self.features)
+        k = len(self.features)
+        own = set(self.features)
         tuples = {name: tuple(getattr(self, name)) for name in ("features", "coordinates", "labels")}
         tuples["present"] = tuple(map(tuple, self.present))
         tuples["scale"] = (1.0,) * k if self.scale is None else tuple(self.scale)

@@ -147,7 +147,8 @@ class Workspace:
 
     def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
         """Uninitialised arrays with the precision of ``like``."""
-        key, (_, views) = (n_starts, like.dtype), self._views.setdefault(id(segment), (segment, {}))
+        key = (n_starts, like.dtype)
+        _, views = self._views.setdefault(id(segment), (segment, {}))
         if key in views:
             return views[key]
         n = len(segment.powers) * n_starts

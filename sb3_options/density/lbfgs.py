@@ -49,7 +49,8 @@ class BatchedLBFGS:
         tolerance: float,
         curvature: float | None = None,
     ) -> None:
-        self._objective, self._tolerance = objective, tolerance
+        self._objective = objective
+        self._tolerance = tolerance
         self._low, self._high = (bound.to(theta) for bound in bounds)
         self._bounded = bool(self._low.isfinite().any() or self._high.isfinite().any())
         self.theta = theta.clamp(self._low, self._high) if self._bounded else theta
@@ -108,7 +109,8 @@ class BatchedLBFGS:
         enough = self.value + SUFFICIENT * slope + torch.finfo(size.dtype).eps * size
         better = (value <= enough) & gradient.sum(0).isfinite()
         small = (self.value - value).abs() <= self._tolerance_of(size) * size
-        idle, length = (self._idle + 1) * small, torch.ones_like(size)
+        idle = (self._idle + 1) * small
+        length = torch.ones_like(size)
         if not bool(better.all()):
             tried, value, idle, length, gradient = (
                 torch.where(better, new, old)
@@ -165,7 +167,8 @@ class CurvaturePairs:
     """
 
     def __init__(self, theta: Tensor, size: float = 0.0) -> None:
-        n, (n_parameters, n_starts) = PAIRS, theta.shape
+        n = PAIRS
+        n_parameters, n_starts = theta.shape
         self._both = theta.new_zeros(n_starts, 2 * n, n_parameters)  # the last n of s and then of y, each a ring
         self._sy = torch.eye(n, dtype=theta.dtype).repeat(n_starts, 1, 1)  # (S, n, n), R is upper
         self._yy = torch.zeros_like(self._sy)

@@ -59,7 +59,8 @@ def evaluate(
 def _of_segment(
     columns: Columns, segment: Segment, likelihood: Likelihood, workspace: Workspace, gradient: bool
 ) -> Evaluation:
-    n, at_once = columns.coefficients.shape[1], max(1, MAX_PAIRS // len(segment.powers))
+    n = columns.coefficients.shape[1]
+    at_once = max(1, MAX_PAIRS // len(segment.powers))
     if n > at_once:
         parts = [
             _of_segment(columns.take(slice(i, i + at_once)), segment, likelihood, workspace, gradient)

@@ -80,7 +80,8 @@ class Filters:
 
     def allowed(self, labelled: LabelledTrajectory) -> BoolArray:
         """Which states of a trajectory the static filter leaves, (m,)."""
-        s, visits = self.settings, labelled.trajectory.visits
+        s = self.settings
+        visits = labelled.trajectory.visits
         if self.counts_steps:
             return steps_from_start_and_goal(visits, s.start_radius, s.goal_radius)
         static_filter = self.static_filter or near_start_and_goal(s.start_radius, s.goal_radius)

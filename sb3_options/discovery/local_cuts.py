@@ -90,9 +90,11 @@ class LocalCuts:
     def _computed(self, number: int) -> float:
         self.n_computed += 1
         left = self._around({number}) - {number}
-        n, largest = len(left), 0
+        n = len(left)
+        largest = 0
         while left:
-            border, size = [left.pop()], 1
+            border = [left.pop()]
+            size = 1
             while border:
                 found = self._neighbours[border.pop()] & left
                 left -= found

@@ -40,7 +40,8 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
         visits = visits[: max(np.flatnonzero(away[visits]), default=0) + 1]
     last_visit = np.zeros(len(features), dtype=np.int64)  # of what was left out no visit counts
     last_visit[visits] = np.arange(len(visits))
-    row_at, last_near = visits.tolist(), _last_near(features, last_visit, radius)
+    row_at = visits.tolist()
+    last_near = _last_near(features, last_visit, radius)
     way, time = [], 0
     while time < len(row_at):
         row = row_at[time]
@@ -51,7 +52,8 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
 
 def _last_near(features: FloatArray, last_visit: IntArray, radius: float) -> Callable[[int], int]:
     """When a trajectory was last within a radius of the state of a row."""
-    last, neighbours = last_visit.tolist(), cKDTree(features)
+    last = last_visit.tolist()
+    neighbours = cKDTree(features)
     return lambda row: max(last[near] for near in neighbours.query_ball_point(features[row], radius))
 
 

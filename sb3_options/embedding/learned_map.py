@@ -86,4 +86,5 @@ class LearnedMap:
             raise ValueError("the learned feature map holds numbers that are not finite")
         weights = {key: torch.as_tensor(np.array(arrays[f"encoder.{key}"])) for key in self.encoder.state_dict()}
         self.encoder.load_state_dict(weights)
-        self.scale, self.learned = np.array(arrays["scale"], dtype=np.float64), int(arrays["learned"])
+        self.scale = np.array(arrays["scale"], dtype=np.float64)
+        self.learned = int(arrays["learned"])

@@ -63,7 +63,8 @@ class FeatureLearner:
     STATE = ("map", "n_trajectories", "done", "_encoder", "_optimizer", "_generator", "_goes_on_at")
 
     def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int = 0) -> None:
-        self.map, self.settings = feature_map, settings
+        self.map = feature_map
+        self.settings = settings
         self._encoder = copy.deepcopy(feature_map.encoder)  # the map stays as it is until the other has learned
         self._generator = torch.Generator().manual_seed(seed)
         self._optimizer = torch.optim.Adam(self._encoder.parameters(), lr=settings.learning_rate)

@@ -46,7 +46,8 @@ class ConceptsInObservation(gym.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         parts = dict(inner.spaces) if isinstance(inner, spaces.Dict) else {OBSERVATION: inner}
         parts[CONCEPTS] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.observation_space = spaces.Dict(parts)
-        self._concepts, self._size = concepts, size
+        self._concepts = concepts
+        self._size = size
 
     def reset(self, **kwargs: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         """Start an episode."""

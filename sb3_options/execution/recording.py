@@ -33,7 +33,8 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     def set(self, record: bool, max_segment: int | None, observation: Any) -> None:
         """Whether to record from now on, and segments or episodes; what is under way goes on if nothing changes."""
         if not record:
-            self.recorder, self.finished = None, []
+            self.recorder = None
+            self.finished = []
         elif self.recorder is None or max_segment != self.max_segment:
             self.max_segment = max_segment
             self.recorder = TrajectoryRecorder() if max_segment is None else SegmentRecorder(max_segment)

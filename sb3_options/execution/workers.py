@@ -23,7 +23,8 @@ class WorkerLostError(RuntimeError):
 
     def __init__(self, what: str, advice: str = "", *, killed: bool = False) -> None:
         super().__init__(f"{what} {advice}".strip())
-        self.what, self.killed = what, killed
+        self.what = what
+        self.killed = killed
 
 
 def watched_workers(env_fns: Sequence[Callable[[], gym.Env[Any, Any]]], **kwargs: Any) -> SubprocVecEnv:

@@ -179,7 +179,8 @@ class SegmentRecorder(TrajectoryRecorder):
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with what `get_state` gave."""
         super().set_state(state)
-        self._before, self._may_be_peak = state["before"], state["may_be_peak"]
+        self._before = state["before"]
+        self._may_be_peak = state["may_be_peak"]
 
     def _is_full(self) -> bool:
         return len(self._actions) >= self.max_segment

@@ -107,7 +107,8 @@ class TrajectoryDatabase:
     STATE: ClassVar[tuple[str, ...]] = ("_trajectories",)
 
     def __init__(self, capacity: int, max_bytes: float = math.inf) -> None:
-        self.capacity, self.max_bytes = capacity, max_bytes
+        self.capacity = capacity
+        self.max_bytes = max_bytes
         self._trajectories: list[LabelledTrajectory] = []
         self._warned = False
 

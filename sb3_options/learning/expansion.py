@@ -47,7 +47,8 @@ def expand_action_space(
         TypeError: Actions are not discrete, or the policy is none that is known.
         ValueError: The model has slots already, or ``env`` is missing or does not fit. Nothing has been changed then.
     """
-    family, actions = family_of(model), model.action_space
+    family = family_of(model)
+    actions = model.action_space
     if not (isinstance(family, Networks) and isinstance(actions, spaces.Discrete)):
         raise TypeError(f"{type(model).__name__} has no networks with an output for each of its actions, {actions}.")
     n_primitive = int(actions.n)

@@ -153,7 +153,8 @@ class ValueBased(Networks):
 
     def prepare_buffer(self) -> None:
         """Also refuse one that was not told of the model's ``n_steps``."""
-        buffer, name = self.model.replay_buffer, type(self.model).__name__
+        buffer = self.model.replay_buffer
+        name = type(self.model).__name__
         if buffer is None:
             return
         if self.replay_buffer is None:
@@ -174,7 +175,8 @@ class ValueBased(Networks):
     def check(self, venv: VecEnv) -> None:
         """Also refuse stacked frames that could not be stored, and a clip of sums of rewards."""
         super().check(venv)
-        normalizer, name = self.model.get_vec_normalize_env(), type(self.model).__name__
+        normalizer = self.model.get_vec_normalize_env()
+        name = type(self.model).__name__
         macro_q = self.replay_buffer is not None and self.replay_buffer.macro_q
         if macro_q and is_vecenv_wrapped(venv, VecFrameStack):
             raise ValueError(
@@ -206,7 +208,8 @@ class ValueBased(Networks):
 
     def _check_stock(self, *, irreplaceable: bool = False) -> None:
         """Refuse a replay buffer that none of ours may replace."""
-        buffer, name = self.model.replay_buffer, type(self.model).__name__
+        buffer = self.model.replay_buffer
+        name = type(self.model).__name__
         known = self.replay_buffer is not None or type(buffer) in (*STOCK_BUFFERS, type(None))
         if irreplaceable or not known:
             raise ValueError(
@@ -289,7 +292,8 @@ def forget_slot(model: BaseAlgorithm, slot: int, n_primitive: int) -> bool:
     The values of an empty slot are closed (`heads`) or 0 (`MacroQ`), and no stored transition names it. Otherwise
     updates would go on moving the closed values, and with them what all actions share.
     """
-    family, action = family_of(model), n_primitive + slot
+    family = family_of(model)
+    action = n_primitive + slot
     had_values = family.forget(action)
     if family.replay_buffer is not None:
         family.replay_buffer.forget_action(action)

@@ -204,7 +204,8 @@ class MacroQ(MaskedPrediction):
         choices = self._choices()
         self._asks = self._n_slots > 0 and any(each.masks_primitives for each in self.env.get_attr("traits"))
         active = self._active(self._last_obs)
-        goes_on, since = True, 0
+        goes_on = True
+        since = 0
         while goes_on and self.num_timesteps < total_timesteps:
             actions = np.array([self._explore(self._values(a), c) for a, c in zip(active, choices, strict=True)])
             new_obs, rewards, dones, infos = self.env.step(actions)

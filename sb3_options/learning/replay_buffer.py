@@ -162,7 +162,8 @@ class OptionReplayBuffer(ReplayBuffer):
         if self._successors is not None:
             self._successors.cut(rows)
         if len(others) == 0:
-            self.pos, self.full = 0, False
+            self.pos = 0
+            self.full = False
             return
         source = others[np.searchsorted(others, rows) % len(others)]
         for column in self._columns():

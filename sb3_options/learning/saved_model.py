@@ -108,7 +108,8 @@ def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
     if text is None or (known is not None and known() is venv):
         return
     content = unpacked_text(text)
-    file, filled = opened(content), venv.get_attr("bank", [0])[0].filled
+    file = opened(content)
+    filled = venv.get_attr("bank", [0])[0].filled
     if (known is None and not file.slots <= set(filled)) or (known is not None and not filled and file.entries):
         _put(content, venv)
 

@@ -146,7 +146,8 @@ class OptionsFile(NamedTuple):
 
 def opened(source: Source) -> OptionsFile:
     """What an options file says."""
-    content, name = content_in(source), name_of(source)
+    content = content_in(source)
+    name = name_of(source)
     with errors_of(name, NO_OPTIONS_FILE):
         parts, tensors = unsealed(content, FILE_FORMAT)
         about = About.model_validate(parts["bank"])

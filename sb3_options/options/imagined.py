@@ -57,7 +57,8 @@ def imagined_farther(
                     continue
                 before = led.copy()
                 before[moving] = led[moving] - rule.move + 0.0
-                key, value = before.tobytes(), STEP_REWARD + settings.gamma * best
+                key = before.tobytes()
+                value = STEP_REWARD + settings.gamma * best
                 if key in seen or (key not in imagined and len(imagined) == MOST_POINTS):
                     continue
                 _, values = imagined.setdefault(key, (before, np.full(policy.values.shape[1], -np.inf)))

@@ -116,7 +116,8 @@ class Option:
         return self._checked("termination", self._termination(observations), observations).astype(np.float64)
 
     def _checked(self, what: str, value: npt.ArrayLike, observations: Observations) -> npt.NDArray[Any]:
-        array, expected = np.asarray(value), (obs_batch.batch_size(observations),)
+        array = np.asarray(value)
+        expected = (obs_batch.batch_size(observations),)
         if array.shape != expected:
             raise ValueError(
                 f"{what} of option {self.name!r} must return one value per observation, shape {expected}, "

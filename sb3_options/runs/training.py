@@ -90,7 +90,8 @@ class Interrupts:
             return
         if self.signal is not None:
             raise KeyboardInterrupt
-        self.signal, self._at = number, time.monotonic()
+        self.signal = number
+        self._at = time.monotonic()
         with suppress(OSError):  # no print: the signal may have come in the middle of one, and the terminal may be gone
             os.write(2, b"\nInterrupted: training ends soon and is saved. Once more to end it at once.\n")
 
@@ -113,7 +114,8 @@ class _RuledEvalCallback(EvalCallback):
         info = locals_["info"]
         with suppress(ValueError):  # the environment reports no truth value, which training says
             if self.rule is not None and "trajectory" in info:
-                trajectory, logged = info.pop("trajectory"), self._is_success_buffer
+                trajectory = info.pop("trajectory")
+                logged = self._is_success_buffer
                 said = judged(self.rule, trajectory)
                 in_training = bool(self.model.ep_success_buffer)
                 tell_success(info, said, trajectory, self.rule, logged, self._unreported, reported=in_training)

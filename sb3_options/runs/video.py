@@ -45,7 +45,8 @@ class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, env: gym.Env[Any, Any], take: Callable[[Any], None], episodes: int) -> None:
         super().__init__(env)
-        self._take, self._left = take, episodes
+        self._take = take
+        self._left = episodes
         self.caption: Callable[[], str] | None = None
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:

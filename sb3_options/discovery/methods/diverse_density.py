@@ -151,7 +151,8 @@ class PersistentPeaks(Method):
 
     def bags(self, experience: Experience) -> FilteredBags | None:
         """The bags of the database; None while there are too few positive ones to search."""
-        database, cuts = experience.database, self.maker.cuts
+        database = experience.database
+        cuts = self.maker.cuts
         n_computed = 0 if cuts is None else cuts.n_computed
         if database.n_successful >= self.settings.min_positive:
             self.filters.find_scale(database)
@@ -172,7 +173,8 @@ class PersistentPeaks(Method):
         """The persistent concepts of the last search, each as the region around its nearest instance."""
         if self.evidence is None:
             return []  # what persists in one group may have lost its bags to a subgoal of another
-        s, scale = self.settings, self.filters.known_scale
+        s = self.settings
+        scale = self.filters.known_scale
         instances = np.concatenate(self.evidence.positive)
         proposals = []
         for concept in self.tracker.persistent(min(s.threshold, self.cut_threshold)):
