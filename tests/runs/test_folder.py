@@ -56,9 +56,7 @@ def test_an_algorithm_that_is_not_installed_leaves_no_folder(
     assert not (tmp_path / "made").exists()
 
 
-@pytest.mark.parametrize(
-    "env_id", ["minigrid:MiniGrid-Empty-5x5-v0", "sb3_options.envs:sb3_options/TwoRooms-v0", "gymnasium:CartPole-v1"]
-)
+@pytest.mark.parametrize("env_id", ["minigrid:MiniGrid-Empty-5x5-v0", "sb3_options.envs:sb3_options/TwoRooms-v0"])
 def test_an_id_with_its_module_can_have_shorter_episodes(env_id: str) -> None:
     """As those of an evaluation are."""
     venv = runs.make_env(configure(algo="maskableppo", env=env_id), 1, 0, max_steps=3)
