@@ -1,4 +1,4 @@
-"""Entrants of the race that the library leaves out: counts of every visit, and two methods on graphs of transitions."""
+"""Entrants of the race that the library leaves out: two counts of visits, and two methods on graphs of transitions."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import Annotated
 import numpy as np
 import rustworkx as rx
 from pydantic import Field, validate_call
+from pydantic.dataclasses import dataclass
 from scipy.linalg import eigh
 
 from sb3_options.density.regions import Region
 from sb3_options.discovery.methods import Experience
 from sb3_options.discovery.methods.candidates import CandidateMethod
 from sb3_options.discovery.methods.method import Method
-from sb3_options.discovery.methods.visits import FirstVisits
+from sb3_options.discovery.peaks import MOST_TIED, PeakTracker, plateau_centres
 from sb3_options.experience.observations import FloatArray, IntArray
 
 GRAPH_SECONDS = 2e-4
@@ -28,6 +29,62 @@ PATH_SECONDS = 2e-8
 
 TOLERANCE = 1e-9
 """Betweenness that differs by less, relative to the largest, is equal."""
+
+
+@dataclass(kw_only=True, eq=False)
+class FirstVisits(CandidateMethod):
+    """McGovern & Barto (2001), §3: the place that most successful trajectories visit.
+
+    It must persist: its running average (their §5) must exceed a share of its limit.
+
+    Args:
+        decay: λ of the running averages.
+        threshold: Share of the limit λ/(1−λ).
+        min_successes: Successful trajectories before the first place counts.
+        radius: Places within this distance of each other are one, in scaled units.
+    """
+
+    STATE = ("_successes", "_tracker")
+
+    needs_success = True
+
+    decay: Annotated[float, Field(gt=0, lt=1)] = 0.75
+    threshold: Annotated[float, Field(ge=0, lt=1)] = 0.6
+    min_successes: Annotated[int, Field(ge=1)] = 4
+    radius: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.5
+
+    def __post_init__(self) -> None:
+        """Begin without places."""
+        super().__init__()
+        self._tracker = PeakTracker(decay=self.decay, radius=self.radius)
+        self._successes = 0
+
+    def update(self, experience: Experience) -> list[Region]:
+        """Take note of one more trajectory; as `DiscoveryMethod.update`."""
+        if not experience.success:
+            return []
+        self._successes += 1
+        visits = np.bincount(experience.places.visits)
+        most = self._counted(experience, visits, self._hits(visits))
+        if self._successes < self.min_successes or not most:
+            return []
+        points = np.array([region.points[0] for region in most[: MOST_TIED + 1]])
+        few = len(points) <= MOST_TIED
+        centres = plateau_centres(points, experience.scale, self.radius) if few else points[:0]
+        self._tracker.update(centres, experience.scale)
+        return [experience.region(concept.point) for concept in self._tracker.persistent(self.threshold)]
+
+    def _hits(self, visits: IntArray) -> IntArray:
+        """What counts of how often a trajectory visited each place, (k,)."""
+        return np.ones_like(visits)
+
+    def _accepted(self, seen: FloatArray, hits: FloatArray) -> FloatArray:
+        """The most visited places, ties included."""
+        return np.asarray(hits == hits.max(), dtype=np.float64)
+
+    def seconds(self, experience: Experience) -> float:
+        """Nominal time of an update."""
+        return super().seconds(experience) if experience.success else 0.0
 
 
 class EveryVisit(FirstVisits):
@@ -180,5 +237,10 @@ def normalised_cut(weights: FloatArray) -> tuple[float, IntArray]:
     return float(cuts[best]), part
 
 
-LEFT_OUT: dict[str, Callable[..., Method]] = {"every-visit": EveryVisit, "l-cut": LCut, "betweenness": Betweenness}
+LEFT_OUT: dict[str, Callable[..., Method]] = {
+    "first-visits": FirstVisits,
+    "every-visit": EveryVisit,
+    "l-cut": LCut,
+    "betweenness": Betweenness,
+}
 """Makes each by its name."""

@@ -11,7 +11,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.recording import LONGEST_EPISODE
 
-MethodName = Literal["diverse-density", "first-visits", "relative-novelty", "random"]
+MethodName = Literal["diverse-density", "relative-novelty", "random"]
 """Names of the methods of discovery."""
 
 

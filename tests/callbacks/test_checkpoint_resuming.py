@@ -15,8 +15,8 @@ from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, S
 from sb3_options.checkpoints.file import read
 from sb3_options.checkpoints.tree import State
 from sb3_options.discovery.methods import DiscoveryMethod
+from sb3_options.discovery.methods.random_places import RandomPlaces
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.visits import FirstVisits, RandomPlaces
 from sb3_options.learning.dqn import OptionDQN
 from sb3_options.learning.macro_q import MacroQ
 from tests.integration.test_algorithms import ALGORITHMS, GAMMA, OFF_POLICY
@@ -165,11 +165,10 @@ def test_evaluations(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("keep_all")
-@pytest.mark.parametrize("make", [FirstVisits, RelativeNovelty, RandomPlaces])
+@pytest.mark.parametrize("make", [RelativeNovelty, RandomPlaces])
 def test_methods_of_discovery(make: Callable[..., DiscoveryMethod], tmp_path: Path) -> None:
     """Settings with which each makes an option in these few steps."""
     soon: dict[Any, dict[str, Any]] = {
-        FirstVisits: {"min_successes": 2, "threshold": 0.1},
         RelativeNovelty: {"lag": 2, "threshold": 1.0, "odds": 1.0},
         RandomPlaces: {"min_successes": 4},
     }

@@ -8,8 +8,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback, load_checkpoint
 from sb3_options.checkpoints.file import read
+from sb3_options.discovery.methods.random_places import RandomPlaces
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.visits import RandomPlaces
 from tests.callbacks.test_checkpoint_resuming import Callbacks, discovering, model_of, venv_of
 from tests.support.sb3_helpers import env_of, optioned_rooms
 

@@ -11,7 +11,7 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.budget import SHORTEST, TABLE_STEP_SECONDS
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import Experience
-from sb3_options.discovery.methods.visits import RandomPlaces
+from sb3_options.discovery.methods.random_places import RandomPlaces
 from sb3_options.discovery.settings import DiscoverySettings
 from tests.discovery.told import Told, line, of, searched
 

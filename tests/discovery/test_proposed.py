@@ -9,8 +9,8 @@ from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import Experience
 from sb3_options.discovery.methods.candidates import PLACE_SECONDS
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
+from sb3_options.discovery.methods.random_places import RandomPlaces
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.visits import FirstVisits, RandomPlaces
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.state import restore, state_of
 from tests.discovery.told import Told, line, of, searched
@@ -95,15 +95,15 @@ def test_why_nothing_names_the_method() -> None:
 
 def test_why_nothing_tells_of_successes_where_the_method_needs_them(caplog: pytest.LogCaptureFixture) -> None:
     """A method that needs none is not said to lack them."""
-    novelty, visits = of(RelativeNovelty()), of(FirstVisits())
-    for discovery in (novelty, visits):
+    novelty, places = of(RelativeNovelty()), of(RandomPlaces())
+    for discovery in (novelty, places):
         for _ in range(20):
             discovery.add(*line(success=False))
             discovery.search()
     (said,) = [record.getMessage() for record in caplog.records]
     assert said.startswith("Discovery waits for a success: there was none in the first 20 episodes.")
     assert "RelativeNovelty proposed none" in novelty.why_nothing()
-    assert "no success in 20 episodes" in visits.why_nothing()
+    assert "no success in 20 episodes" in places.why_nothing()
 
 
 def test_there_is_no_lack_where_something_was_found() -> None:

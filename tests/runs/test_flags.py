@@ -135,17 +135,15 @@ def test_the_algorithm_comes_first_in_any_case(args: list[str]) -> None:
     assert parse(args) == configure(algo="dqn", seed=1)
 
 
-@pytest.mark.parametrize(
-    "words", [["--method", "first-visits"], ["--method=first-visits"], ["--discovery.method", "first-visits"]]
-)
-def test_the_method_of_discovery(words: list[str], tmp_path: Path) -> None:
-    expected = parse(words)
-    assert expected.discovery.method == "first-visits"
+@pytest.mark.parametrize("words", ["--method random", "--method=random", "--discovery.method random"])
+def test_the_method_of_discovery(words: str, tmp_path: Path) -> None:
+    expected = parse(words.split())
+    assert expected.discovery.method == "random"
     path = tmp_path / "config.yml"
-    for text in ("method: first-visits\n", "discovery:\n  method: first-visits\n"):
+    for text in ("method: random\n", "discovery:\n  method: random\n"):
         path.write_text(text)
         assert parse(["--config", str(path)]) == expected
-        assert parse(["--config", str(path), "--method", "random"]).discovery.method == "random"
+        assert parse(["--config", str(path), "--method", "relative-novelty"]).discovery.method != "random"
 
 
 class TestHelp:

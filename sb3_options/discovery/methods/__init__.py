@@ -8,12 +8,11 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.discovery.methods.method import DiscoveryMethod, Experience, Method, OwnMethod, checked_method
+from sb3_options.discovery.methods.random_places import RandomPlaces
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
-from sb3_options.discovery.methods.visits import FirstVisits, RandomPlaces
 from sb3_options.discovery.settings import MethodName
 
 METHODS: dict[MethodName, Callable[..., Method]] = {
-    "first-visits": FirstVisits,
     "relative-novelty": RelativeNovelty,
     "random": RandomPlaces,
 }

@@ -8,11 +8,12 @@ import networkx as nx
 import numpy as np
 import pytest
 
+from experiments.methods.left_out import FirstVisits
 from experiments.random_walks.conditions import is_bottleneck, run, world_for
 from sb3_options.discovery.methods import METHODS, MethodName
 from sb3_options.discovery.methods.method import Experience
+from sb3_options.discovery.methods.random_places import RandomPlaces
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
-from sb3_options.discovery.methods.visits import FirstVisits, RandomPlaces
 from sb3_options.discovery.peaks import MOST_TIED
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
