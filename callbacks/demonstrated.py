@@ -16,14 +16,17 @@ from sb3_options.experience.observations import batch_size, take
 from sb3_options.experience.success import SuccessRule, judged
 from sb3_options.experience.trajectories import Trajectory
 
+FAILURES = 20
+"""Most episodes of a random policy; a failure is often as long as the time limit."""
+
 
 def labelled(
     given: Iterable[Trajectory] | str | os.PathLike[str], venv: VecEnv, success: SuccessRule, seed: int
 ) -> list[tuple[Trajectory, bool]]:
     """Demonstrations with their labels, failures among successes.
 
-    If none of them failed, as many episodes of a random policy are added, after which the environments have to be
-    reset. A random policy may succeed, too.
+    If none of them failed, episodes of a random policy are added, as many but at most `FAILURES`, after which the
+    environments have to be reset. A random policy may succeed, too.
 
     Args:
         given: Trajectories, or the file that `save_demonstrations` wrote.
@@ -45,7 +48,7 @@ def labelled(
             "SubgoalDiscoveryCallback(success=...) or train.py --success, or record others."
         )
     if all(said for _, said in shown):
-        walks = venv.env_method("random_trajectories", len(shown), seed, indices=[0])[0]
+        walks = venv.env_method("random_trajectories", min(len(shown), FAILURES), seed, indices=[0])[0]
         shown += [(each, judged(success, each)) for each in walks]
     parts = [[each for each in shown if each[1] == said] for said in (False, True)]
     places = np.argsort(np.concatenate([np.linspace(0, 1, len(part)) for part in parts]), kind="stable")

@@ -1,22 +1,26 @@
 """``python -m experiments.demonstrations --runs 8 --out FOLDER``: frames to 0.8 success from a few demonstrations.
 
-MaskablePPO with the options discovered in them, with its policy cloned, and with both. Writes ``results.json``.
-Interrupted, it goes on where it was.
+MaskablePPO with the options discovered in them, with its policy cloned, with self-imitation, and with all of these.
+Writes ``results.json``. Interrupted, it goes on where it was.
 """
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
+import numpy as np
 import tyro
 from rich.table import Table
 
-from experiments.common.intervals import steps_until
-from experiments.common.seeds import Part, run_parts
+from experiments.common.intervals import iqm_ratio, steps_until
+from experiments.common.seeds import Part, Result, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.demonstrations.conditions import ARMS, EPISODES, LEARNED, PPO, TASKS, Arm, run
+from sb3_options.experience.observations import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +34,7 @@ class Study(Flags):
     """
 
     runs: int = 8
-    episodes: int = 20
+    episodes: int = 100
     tasks: tuple[str, ...] = tuple(TASKS)
     arms: tuple[Arm, ...] = ARMS
 
@@ -44,19 +48,30 @@ def main(study: Study) -> None:
     ]
     settings = {"episodes": study.episodes, "frames": TASKS, "learned": [LEARNED, EPISODES], "ppo": PPO}
     results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
-    summary = {name: steps_until(runs, "learned", TASKS[name.split(":")[0]]) for name, runs in results.items()}
+    summary: dict[str, dict[str, Any]] = {}
+    for name, runs in results.items():
+        task = name.split(":")[0]
+        first = _frames(results[f"{task}: {study.arms[0]}"], TASKS[task])
+        ratio = iqm_ratio(first, _frames(runs, TASKS[task]), paired=True)
+        summary[name] = {**steps_until(runs, "learned", TASKS[task]), "ratio": ratio._asdict()}
     command = f"python -m experiments.demonstrations --runs {study.runs} --first-seed {study.first_seed}"
     command += f" --episodes {study.episodes} --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"
     write(study.out, {"command": command, "settings": settings, "summary": summary, "runs": results}, {})
-    table = Table("", "learned", "frames until then")
+    table = Table("", "learned", "frames until then", "frames of the first arm as a multiple")
     for name, row in summary.items():
-        frames = f"{row['mean']:,.0f} ({row['low']:,.0f} to {row['high']:,.0f})"
-        table.add_row(name, f"{row['n_reached']:.0f} of {row['n_runs']:.0f}", frames)
+        until = f"{row['mean']:,.0f} ({row['low']:,.0f} to {row['high']:,.0f})"
+        multiple = "{mean:.2f} ({low:.2f} to {high:.2f})".format(**row["ratio"])
+        table.add_row(name, f"{row['n_reached']:.0f} of {row['n_runs']:.0f}", until, multiple)
     show(
         table,
-        "Interquartile means with 95 % bootstrap intervals. A run that does not learn counts with its whole length.",
+        "Interquartile means with 95 % bootstrap intervals, of pairs by seed for multiples. A run that does not learn "
+        "counts with its whole length.",
         f"Results: {study.out / 'results.json'}",
     )
+
+
+def _frames(runs: Sequence[Result], most: int) -> FloatArray:
+    return np.array([most if run["learned"] is None else run["learned"] for run in runs], dtype=np.float64)
 
 
 if __name__ == "__main__":

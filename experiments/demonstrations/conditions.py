@@ -1,4 +1,4 @@
-"""What is compared: MaskablePPO from the same demonstrations, with and without options, with and without cloning."""
+"""What is compared: MaskablePPO from the same demonstrations, with and without options, cloning and self-imitation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs.minigrid import DISCOVERY, make
 
-Arm = Literal["options, cloned", "options", "cloned"]
+Arm = Literal["options, self-imitation", "self-imitation", "options, cloning", "cloning", "options"]
 
 ARMS: tuple[Arm, ...] = get_args(Arm)
 
@@ -38,7 +38,10 @@ PPO: dict[str, Any] = {
     "gae_lambda": 0.95,
     "ent_coef": 0.01,
 }
-"""Those of ``train.py`` for MiniGrid."""
+"""Those of ``train.py`` for MiniGrid. After cloning there is no bonus for entropy, which would undo it."""
+
+FAILURES = 20
+"""Episodes of a random policy that stand beside the demonstrations, where there are options to discover."""
 
 FIRST_SEED = 10_000
 """Of the episodes that are shown; those of training have others."""
@@ -90,7 +93,7 @@ def run(task: str, arm: Arm, episodes: int, seed: int) -> Result:
 
     env = wrapped()
     shown = record_demonstrations(env, bot_of(env), episodes, seed=FIRST_SEED + 1000 * seed)
-    failures = env.random_trajectories(episodes, FIRST_SEED + 1000 * seed) if max_options else []
+    failures = env.random_trajectories(min(episodes, FAILURES), FIRST_SEED + 1000 * seed) if max_options else []
     frames = sum(map(len, [*shown, *failures]))
     discovery = SubgoalDiscoveryCallback(
         **DISCOVERY,
@@ -98,14 +101,18 @@ def run(task: str, arm: Arm, episodes: int, seed: int) -> Result:
         max_new_options=None if max_options else 0,
     )
     end = UntilLearned()
-    callbacks = [discovery, Cloning(discovery, shown, seed), end] if "cloned" in arm else [discovery, end]
+    callbacks: list[BaseCallback] = [discovery, end]
+    ppo = dict(PPO)
+    if arm != "options":
+        callbacks.insert(1, Cloning(discovery, shown, seed, imitates="self-imitation" in arm))
+        ppo["ent_coef"] = 0.0
     model = MaskablePPO(
         "MlpPolicy",
         make_vec_env(wrapped, N_ENVS, seed=seed),
         gamma=GAMMA,
         seed=seed,
         policy_kwargs={"net_arch": [64, 64]},
-        **PPO,
+        **ppo,
     )
     model.learn(TASKS[task] - frames, callbacks)
     return {

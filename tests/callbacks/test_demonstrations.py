@@ -92,7 +92,10 @@ def test_options_are_there_before_the_first_step(shown: list[Trajectory], algori
     assert discovery.episodes == 0  # none of training
 
 
-def test_training_goes_on_from_a_reset_after_random_failures(shown: list[Trajectory]) -> None:
+def test_training_goes_on_from_a_reset_after_random_failures(
+    shown: list[Trajectory], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sb3_options.callbacks.demonstrated.FAILURES", 4)
     env = VecNormalize(make_vec_env(make_optioned_rooms, 2, seed=0, vec_env_cls=SubprocVecEnv), norm_reward=False)
     try:
         discovery = callback(shown)
@@ -100,6 +103,7 @@ def test_training_goes_on_from_a_reset_after_random_failures(shown: list[Traject
         model.learn(256, discovery)
         assert discovery.discoveries[0].timestep == 0
         assert discovery.discovery is not None
+        assert len(discovery.discovery.database) == len(shown) + 4 + discovery.episodes
         # A random policy reaches the goal of small rooms, too: then it is no failure.
         assert {each.success for each in discovery.discovery.database} == {True, False}
         assert all(each.success == bool(each.trajectory.is_success) for each in discovery.discovery.database)

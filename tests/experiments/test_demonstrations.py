@@ -46,4 +46,4 @@ def test_a_cloned_policy_with_options_succeeds_before_it_is_trained(monkeypatch:
     result = run("BabyAI-KeyCorridorS3R3-v0", ARMS[0], 20, 0)
     assert len(result["options"]) >= 3
     assert result["demonstrations"] > 1000
-    assert result["success"] > 0.05
+    assert result["success"] > 0.1
