@@ -57,7 +57,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         usefulness: How options are judged by their use, and closed where they are of none: `UsefulnessSettings`.
         demonstrations: Trajectories that succeeded, as `record_demonstrations` returns, or a file of them: options are
             there before the first step. A random policy gives failures if there are none among them.
-        verbose: 1 prints each new option, and in the end, if there is none, why.
+        verbose: 1 prints each new option, when a feature map is learned, and in the end, if there is no option, why.
 
     `bank` holds the options, `discoveries` says when and where each was found, `closed` which were closed again, and
     `history` how episodes went. Set `save_path` to have the options written each time one is made, and `hparams` to the
@@ -128,7 +128,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._installer = OptionInstaller(
             self.model, venv, self.locals.get("callback"), max_option_exploration=use.max_option_exploration
         )
-        keeper.features = features_for(keeper.features, self._installer, self.embedding, seed)
+        keeper.features = features_for(keeper.features, self._installer, self.embedding, seed, self.verbose)
         if keeper.features is not None:
             check_learned(self.settings, self.option_settings, own=bool(self.method or self.concepts.groups))
         begins = self.discovery is None

@@ -28,8 +28,9 @@ class LearnedFeatures:
 
     STATE = ("learner", "_anchors")
 
-    def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int) -> None:
+    def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int, verbose: int) -> None:
         self.map = feature_map
+        self.verbose = verbose
         self.learner = FeatureLearner(feature_map, settings, seed)
         # By slot the observations of subgoal and initiation set, and the points of that set that they have now.
         self._anchors: dict[int, tuple[Observations, Observations, FloatArray]] = {}
@@ -58,7 +59,12 @@ class LearnedFeatures:
 
     def learn_if_due(self, search: Discovery, options: OptionInstaller) -> bool:
         """Learn on the map if it is due, and move everything along once it has changed."""
-        if not search.learn_if_due(self.learner):
+        begins = not self.learner.done
+        changed = search.learn_if_due(self.learner)
+        if self.verbose and (changed or (begins and self.learner.done)):
+            steps = f"{self.learner.updates:,} gradient steps"
+            print("The feature map has been learned." if changed else f"The feature map is being learned, in {steps}.")
+        if not changed:
             return False
         options.send_learned_map()
         for slot, (subgoal, initiation, _) in list(self._anchors.items()):
@@ -99,12 +105,12 @@ class LearnedFeatures:
 
 
 def features_for(
-    present: LearnedFeatures | None, options: OptionInstaller, settings: EmbeddingSettings, seed: int
+    present: LearnedFeatures | None, options: OptionInstaller, settings: EmbeddingSettings, seed: int, verbose: int
 ) -> LearnedFeatures | None:
     """What looks after the feature map of the environments, if it is learned, when training starts."""
     there: object = options.venv.get_attr("bank", [0])[0].feature_map
     if isinstance(there, LearnedMap) and present is None:
-        present = LearnedFeatures(copy.deepcopy(there), settings, seed)
+        present = LearnedFeatures(copy.deepcopy(there), settings, seed, verbose)
     if present is not None:
         present.begin(options)
     return present

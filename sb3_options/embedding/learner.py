@@ -35,8 +35,8 @@ MOST_STEPS = 20_000
 STEPS_BETWEEN = 1_000
 """Primitive steps between two pauses for learning."""
 
-PAUSE_SECONDS = 1.0
-"""Nominal length of such a pause."""
+PAUSE_SECONDS = 0.4
+"""Nominal length of the gradient steps in such a pause, which is to be shorter than a second."""
 
 UPDATE_SECONDS, NUMBER_SECONDS = 1.5e-3, 8e-9
 """Nominal seconds of a gradient step, and of each number of the observations in it: measured on one core."""
@@ -96,7 +96,7 @@ class FeatureLearner:
         Returns:
             Whether the map has changed. It does not where no step leads to another observation.
         """
-        replay = Replay(trajectories, self.map.encoder.form)
+        replay = Replay(trajectories, self.map.encoder.form, self._generator)
         before, after = replay.steps()
         if len(before) == 0:
             return False

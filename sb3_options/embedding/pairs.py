@@ -11,8 +11,8 @@ from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor
 from sb3_options.experience.observations import batch_size, concatenate, key_of, take
 from sb3_options.experience.trajectories import Trajectory
 
-MOST_BYTES = 256 << 20
-"""Of trajectories that a map is learned from: the newest ones."""
+MOST_BYTES = 32 << 20
+"""Of the trajectories that a map is learned from at once."""
 
 
 class Replay:
@@ -20,19 +20,17 @@ class Replay:
 
     An observation that is in a batch many times is encoded once: in a gridworld this is what learning from images
     takes most of its time for.
+
+    Args:
+        trajectories: If they are larger than `MOST_BYTES`, some of them are drawn.
+        form: Of their observations.
+        generator: That draws.
     """
 
-    def __init__(self, trajectories: Iterable[Trajectory], form: ObservationForm) -> None:
-        chosen: list[Trajectory] = []
-        n_bytes = 0
-        for trajectory in reversed([t for t in trajectories if len(t)]):
-            n_bytes += trajectory.n_bytes
-            if chosen and n_bytes > MOST_BYTES:
-                break
-            chosen.append(trajectory)
+    def __init__(self, trajectories: Iterable[Trajectory], form: ObservationForm, generator: torch.Generator) -> None:
         row_of: dict[bytes, int] = {}
         new, paths = [], []
-        for trajectory in reversed(chosen):
+        for trajectory in _some([each for each in trajectories if len(each)], generator):
             n = batch_size(trajectory.states)
             rows = np.empty(n, dtype=np.int64)
             fresh = []
@@ -90,3 +88,13 @@ class Replay:
         distinct, which = torch.unique(torch.cat(rows), return_inverse=True)
         made = encoder(self.observations[distinct])[which]
         return list(made.split([len(each) for each in rows]))
+
+
+def _some(trajectories: list[Trajectory], generator: torch.Generator) -> list[Trajectory]:
+    """At least one of the trajectories, of `MOST_BYTES` together, in the same order."""
+    n_bytes = torch.tensor([each.n_bytes for each in trajectories])
+    if n_bytes.sum() <= MOST_BYTES:
+        return trajectories
+    order = torch.randperm(len(trajectories), generator=generator)
+    n = max(1, int((n_bytes[order].cumsum(dim=0) <= MOST_BYTES).sum()))
+    return [trajectories[i] for i in sorted(order[:n].tolist())]

@@ -97,7 +97,9 @@ def _play(saved: Path, config: TrainConfig, venv: VecEnv, asked: EvaluateConfig)
         model.set_parameters(str(saved), device=model.device)
     except (RuntimeError, ValueError, UnpicklingError) as error:
         # torch has a heading, and a line for every array.
-        first = next((line.strip() for line in str(error).splitlines() if line.startswith("\t")), error)
+        first: object = next((line.strip() for line in str(error).splitlines() if line.startswith("\t")), error)
+        if isinstance(error, UnpicklingError):
+            first = "its weights hold Python objects, which are not read."
         raise ValueError(f"{saved} is damaged, or does not fit {saved.with_name(runs.CONFIG)}: {first}") from error
     check_finite(model, saved)
     bank: OptionBank = venv.get_attr("bank")[0]

@@ -81,16 +81,16 @@ def test_a_state_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     assert one.map.learned == 2
 
 
-def test_pictures_are_learned_a_second_in_a_thousand_steps() -> None:
+def test_pictures_are_learned_for_less_than_a_second_in_a_thousand_steps() -> None:
     """The map stays as it is until the last gradient step."""
     pictures = np.random.default_rng(0).integers(0, 256, (600, 4, 84, 84), dtype=np.uint8)
     walk = dataclasses.replace(path_through(list(range(600))), states=pictures)
-    learner = FeatureLearner(LearnedMap(ObservationForm("image", (4, 84, 84))), EmbeddingSettings(updates=10))
+    learner = FeatureLearner(LearnedMap(ObservationForm("image", (4, 84, 84))), EmbeddingSettings(updates=5))
     before = learner.map.arrays()
     began = time.process_time()
     assert not learner.learn([walk], 8, 200)
     assert time.process_time() - began < 10.0  # about 1, but for the tests beside this one
-    assert learner.done == 8
+    assert learner.done == 3
     assert equal(learner.map.arrays(), before)
     assert [learner.is_due(8, steps) for steps in (200, 1199, 1200)] == [False, False, True]
     assert learner.learn([walk], 8, 1200)
@@ -128,7 +128,8 @@ def corridor(unit: float) -> list[Trajectory]:
 @pytest.mark.parametrize("unit", [1.0, 1e6, 1e30])
 def test_numbers_in_other_units_take_nothing_from_each_other(unit: float) -> None:
     learner = FeatureLearner(LearnedMap(ObservationForm("vector", (2,))), EmbeddingSettings())
-    learner.learn(corridor(unit), 8, 0)
+    while not learner.learn(corridor(unit), 8, 0):
+        pass  # between two pauses
     places = np.arange(10.0)
     made = learner.map(np.stack([places, unit * ((3 * places) % 7)], axis=1))
     far = np.linalg.norm(made - made[0], axis=1)

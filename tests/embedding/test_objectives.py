@@ -13,6 +13,8 @@ from tests.support.helpers import equal
 
 TABLE = ObservationForm("table", (6,))
 
+DRAWS = torch.Generator().manual_seed(0)
+
 
 class TestTemporalDistance:
     def test_energy_is_potential_minus_distance(self) -> None:
@@ -36,7 +38,7 @@ class TestTemporalDistance:
 
 class TestReplay:
     def test_distinct_observations_and_steps_that_move(self) -> None:
-        replay = Replay([path_through([4, 4, 5]), path_through([5, 2])], TABLE)
+        replay = Replay([path_through([4, 4, 5]), path_through([5, 2])], TABLE, DRAWS)
         assert replay.observations.tolist() == [4, 5, 2]
         before, after = replay.steps()
         assert [
@@ -44,7 +46,7 @@ class TestReplay:
         ] == [(4, 5), (5, 2)]
 
     def test_pairs_lie_ahead_in_one_trajectory_geometrically(self) -> None:
-        replay = Replay([path_through([0, 1, 2, 3]), path_through([4, 5])], TABLE)
+        replay = Replay([path_through([0, 1, 2, 3]), path_through([4, 5])], TABLE, DRAWS)
         began, led = (rows.numpy() for rows in replay.sample(20_000, 2.0, torch.Generator().manual_seed(0)))
         counts = np.zeros((6, 6))
         np.add.at(counts, (began, led), 1)
@@ -56,16 +58,22 @@ class TestReplay:
         np.testing.assert_allclose(counts / 5_000, expected, atol=0.03)
 
     def test_seldom_places_begin_as_often_as_others(self) -> None:
-        replay = Replay([path_through([0, 1, 0, 1, 0, 1, 0, 1, 2, 3])], TABLE)
+        replay = Replay([path_through([0, 1, 0, 1, 0, 1, 0, 1, 2, 3])], TABLE, DRAWS)
         began, _ = replay.sample(3_000, 5.0, torch.Generator().manual_seed(0))
         np.testing.assert_allclose(np.bincount(began.numpy()) / 3_000, [1 / 3, 1 / 3, 1 / 3], atol=0.04)
 
-    def test_the_newest_that_memory_holds(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("sb3_options.embedding.pairs.MOST_BYTES", 1)
-        assert Replay([path_through([0, 1]), path_through([2, 3])], TABLE).observations.tolist() == [2, 3]
+    @pytest.mark.parametrize(("n_held", "expected"), [(0.5, 1), (1, 1), (2.5, 2), (3, 3)])
+    def test_some_are_drawn_of_more_than_it_holds(
+        self, n_held: float, expected: int, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        walks = [path_through([2 * i, 2 * i + 1]) for i in range(3)]
+        monkeypatch.setattr("sb3_options.embedding.pairs.MOST_BYTES", n_held * walks[0].n_bytes)
+        drawn = [Replay(walks, TABLE, DRAWS).observations.tolist() for _ in range(40)]
+        assert all(len(each) == 2 * expected and each == sorted(each) for each in drawn)
+        assert {place for each in drawn for place in each} == {*range(6)}
 
     def test_an_observation_that_is_there_twice_is_encoded_once(self) -> None:
-        replay, seen = Replay([path_through([0, 1, 2])], TABLE), []
+        replay, seen = Replay([path_through([0, 1, 2])], TABLE, DRAWS), []
         encoder = Encoder(TABLE, 2)
         encoder.register_forward_pre_hook(lambda _, args: seen.append(len(args[0])))
         one, other = replay.encoded(encoder, torch.tensor([0, 1, 1]), torch.tensor([1, 0]))

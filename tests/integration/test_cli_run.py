@@ -176,6 +176,6 @@ class TestErrors:
         with zipfile.ZipFile(copied / "model.zip", "w") as archive:
             archive.writestr("data", json.dumps({"policy_class": {":serialized:": ""}}))
             archive.writestr("policy.pth", pickle.dumps(Evil(), protocol=2))
-        said = refused("evaluate", str(copied), "--episodes", "1", one_line=False)  # it ends with what torch says
-        assert "model.zip is damaged" in said
+        said = refused("evaluate", str(copied), "--episodes", "1")
+        assert said.endswith(": its weights hold Python objects, which are not read.\n")
         assert not (copied / "ran").exists()
