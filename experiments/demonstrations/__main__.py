@@ -1,7 +1,7 @@
 """``python -m experiments.demonstrations --runs 8 --out FOLDER``: frames to 0.8 success from a few demonstrations.
 
-MaskablePPO with the options discovered in them, with its policy cloned, with self-imitation, and with all of these.
-Writes ``results.json``. Interrupted, it goes on where it was.
+MaskablePPO with the options discovered in them, with its policy cloned, and with both. Writes ``results.json``.
+Interrupted, it goes on where it was.
 """
 
 from __future__ import annotations

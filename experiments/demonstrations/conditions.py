@@ -1,4 +1,4 @@
-"""What is compared: MaskablePPO from the same demonstrations, with and without options, cloning and self-imitation."""
+"""What is compared: MaskablePPO from the same demonstrations, with and without options and cloning."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs.minigrid import DISCOVERY, make
 
-Arm = Literal["options, self-imitation", "self-imitation", "options, cloning", "cloning", "options"]
+Arm = Literal["options, cloning", "cloning", "options"]
 
 ARMS: tuple[Arm, ...] = get_args(Arm)
 
@@ -104,7 +104,7 @@ def run(task: str, arm: Arm, episodes: int, seed: int) -> Result:
     callbacks: list[BaseCallback] = [discovery, end]
     ppo = dict(PPO)
     if arm != "options":
-        callbacks.insert(1, Cloning(discovery, shown, seed, imitates="self-imitation" in arm))
+        callbacks.insert(1, Cloning(discovery, shown, seed))
         ppo["ent_coef"] = 0.0
     model = MaskablePPO(
         "MlpPolicy",
