@@ -25,7 +25,7 @@ def make(env_id: str, *, mission: bool = True, asked: bool = True, **kwargs: Any
     Args:
         env_id: Such as ``MiniGrid-DoorKey-5x5-v0``.
         mission: As `MiniGridWrapper` has it.
-        asked: Likewise.
+        asked: As `MiniGridWrapper` has it.
         **kwargs: Of ``gymnasium.make``.
 
     Raises:

@@ -107,7 +107,7 @@ def _check_supported(venv: VecEnv, *kinds: type[VecEnv]) -> None:
 
 
 def _in_workers(venv: VecEnv, function: Callable[..., Any], *args: Any, indices: list[int] | None = None) -> list[Any]:
-    """What a function returns for the environment of each worker process, or its error."""
+    """The results of a function in every worker process, or in those of ``indices``; its error is raised here."""
     results = venv.env_method("on_layers", function, *args, indices=indices)
     for _, why in results:
         if why is not None:

@@ -7,7 +7,7 @@ energy is c(y) − d(x, y), where d is the quasimetric of Liu et al. (2023), *Me
 part, plus ‖φ(x) − φ(y)‖. Here d is the second part alone, for diverse density, radii and static filters measure
 distances without direction. What is lost is the difference between there and back.
 
-Gradient steps on pictures take long. So they are spread over training: some at once, some more every thousand primitive
+Gradient steps on pictures take long. So they are spread over training: some at once, some more every 500 primitive
 steps. How many is counted in nominal seconds, so that one seed gives one result.
 """
 
@@ -32,11 +32,11 @@ FIRST_TRAJECTORIES = 8
 MOST_STEPS = 20_000
 """Steps whose median length becomes the unit."""
 
-STEPS_BETWEEN = 1_000
+STEPS_BETWEEN = 500
 """Primitive steps between two pauses for learning."""
 
 PAUSE_SECONDS = 0.4
-"""Nominal length of the gradient steps in such a pause, which is to be shorter than a second."""
+"""Nominal length of the gradient steps in such a pause: with the rest less than a second in a thousand steps."""
 
 UPDATE_SECONDS, NUMBER_SECONDS = 1.5e-3, 8e-9
 """Nominal seconds of a gradient step, and of each number of the observations in it: measured on one core."""

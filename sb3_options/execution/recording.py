@@ -85,6 +85,6 @@ def refuse_own(info: Mapping[str, Any], *names: str) -> None:
     for name in names:
         if name in info:
             raise ValueError(
-                f'The environment has an info["{name}"] of its own, where OptionsWrapper reports what it recorded: '
-                "give it another name there, and wrap in OptionsWrapper once only."
+                f'The environment has an info["{name}"] of its own, where OptionsWrapper writes: give it another name '
+                "there, and wrap in OptionsWrapper once only."
             )

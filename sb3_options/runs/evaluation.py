@@ -99,7 +99,7 @@ def _play(saved: Path, config: TrainConfig, venv: VecEnv, asked: EvaluateConfig)
         # torch has a heading, and a line for every array.
         first: object = next((line.strip() for line in str(error).splitlines() if line.startswith("\t")), error)
         if isinstance(error, UnpicklingError):
-            first = "its weights hold Python objects, which are not read."
+            first = "its weights are damaged, or hold Python objects, which are not read."
         raise ValueError(f"{saved} is damaged, or does not fit {saved.with_name(runs.CONFIG)}: {first}") from error
     check_finite(model, saved)
     bank: OptionBank = venv.get_attr("bank")[0]

@@ -90,8 +90,8 @@ class Interrupts:
             return
         if self.signal is not None:
             raise KeyboardInterrupt
-        self.signal = number
         self._at = time.monotonic()
+        self.signal = number
         with suppress(OSError):  # no print: the signal may have come in the middle of one, and the terminal may be gone
             os.write(2, b"\nInterrupted: training ends soon and is saved. Once more to end it at once.\n")
 

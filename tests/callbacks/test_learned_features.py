@@ -75,7 +75,7 @@ def test_what_a_map_waits_for_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_doorway_is_found_without_coordinates(observation: str) -> None:
     env = temporal_rooms(observation=observation)
     callback = callback_with(max_new_options=1, option_settings={"initiation_steps": 8, "grow": True})
-    model_of(env, learning_starts=10_000, buffer_size=200).learn(2_500, callback)
+    model_of(env, learning_starts=10_000, buffer_size=200).learn(4_000, callback)
     (found,) = callback.discoveries
     search, _ = parts_of(callback)
     place = places(env, search.found[0].observation)[0]
@@ -90,6 +90,17 @@ def test_the_doorway_is_found_without_coordinates(observation: str) -> None:
         np.testing.assert_allclose(labelled.features, phi(labelled.trajectory.states), atol=0.002)
     inside = option.initiation(np.concatenate([np.asarray(t.trajectory.states) for t in search.database]))
     assert 0.0 < inside.mean() < 0.9
+
+
+def test_says_when_learning_begins_and_ends(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sb3_options.embedding.learner.PAUSE_SECONDS", 0.04)
+    callback = callback_with(concepts={"embedding": {**LEARNING, "updates": 40}}, verbose=1)
+    model_of(temporal_rooms(), learning_starts=10_000, buffer_size=200).learn(2_500, callback)
+    begins, ends, *_ = capsys.readouterr().out.splitlines()
+    assert begins == "The feature map is being learned, in 40 gradient steps."
+    assert ends == "The feature map has been learned."
 
 
 def test_options_move_along() -> None:

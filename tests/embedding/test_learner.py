@@ -92,8 +92,8 @@ def test_pictures_are_learned_for_less_than_a_second_in_a_thousand_steps() -> No
     assert time.process_time() - began < 10.0  # about 1, but for the tests beside this one
     assert learner.done == 3
     assert equal(learner.map.arrays(), before)
-    assert [learner.is_due(8, steps) for steps in (200, 1199, 1200)] == [False, False, True]
-    assert learner.learn([walk], 8, 1200)
+    assert [learner.is_due(8, steps) for steps in (200, 699, 700)] == [False, False, True]
+    assert learner.learn([walk], 8, 700)
     assert not equal(learner.map.arrays(), before)
 
 

@@ -177,5 +177,5 @@ class TestErrors:
             archive.writestr("data", json.dumps({"policy_class": {":serialized:": ""}}))
             archive.writestr("policy.pth", pickle.dumps(Evil(), protocol=2))
         said = refused("evaluate", str(copied), "--episodes", "1")
-        assert said.endswith(": its weights hold Python objects, which are not read.\n")
+        assert said.endswith(": its weights are damaged, or hold Python objects, which are not read.\n")
         assert not (copied / "ran").exists()

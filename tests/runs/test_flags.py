@@ -67,7 +67,7 @@ def test_keyword_arguments_of_the_environment(tmp_path: Path) -> None:
         (["ppo", "--learning-starts", "9"], "there is no setting 'learning_starts'"),
         (
             ["--algo", "sarsa"],
-            "There is no algorithm 'sarsa'. Options need discrete actions: choose from maskableppo, ",
+            "There is no algorithm 'sarsa'. Options need discrete actions: choose from maskableppo, ppo,",
         ),
         (["evaluat", "--episodes", "3"], "Did you mean 'evaluate'?"),
         (["sac"], "trpo, recurrentppo, dqn, qrdqn, optiondqn."),  # a2c is not meant
@@ -143,7 +143,7 @@ def test_the_method_of_discovery(words: str, tmp_path: Path) -> None:
     for text in ("method: random\n", "discovery:\n  method: random\n"):
         path.write_text(text)
         assert parse(["--config", str(path)]) == expected
-        assert parse(["--config", str(path), "--method", "relative-novelty"]).discovery.method != "random"
+        assert parse(["--config", str(path), "--method", "relative-novelty"]).discovery.method[:3] == "rel"
 
 
 class TestHelp:
