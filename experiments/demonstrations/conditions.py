@@ -22,7 +22,7 @@ Arm = Literal["options, cloning", "cloning", "options"]
 
 ARMS: tuple[Arm, ...] = get_args(Arm)
 
-TASKS = {"BabyAI-KeyCorridorS3R3-v0": 200_000}
+TASKS = {"BabyAI-KeyCorridorS3R3-v0": 200_000, "MiniGrid-ObstructedMaze-1Dl-v0": 400_000}
 """Frames after which a run is given up, by task."""
 
 LEARNED, EPISODES = 0.8, 100
@@ -67,16 +67,22 @@ class UntilLearned(BaseCallback):
 
 
 def bot_of(env: gym.Env[Any, Any]) -> Callable[[Any], int]:
-    """MiniGrid's own BabyAI bot, which plans with the environment's state."""
+    """MiniGrid's own BabyAI bot, which plans with the environment's state; in mazes it is told to fetch the ball."""
+    from minigrid.envs.babyai.core.verifier import ObjDesc, PickupInstr
     from minigrid.utils.baby_ai_bot import BabyAIBot
 
     game: Any = env.unwrapped
+    is_maze = not hasattr(game, "instrs")
     planner: Any = None
     last: Any = None
 
     def act(observation: Any) -> int:
         nonlocal planner, last
         if game.step_count == 0:
+            if is_maze:
+                ball = ObjDesc("ball", "blue")  # type: ignore[no-untyped-call]
+                game.instrs = PickupInstr(ball)  # type: ignore[no-untyped-call]
+                game.instrs.reset_verifier(game)
             planner, last = BabyAIBot(game), None  # type: ignore[no-untyped-call]
         last = planner.replan(last)
         return int(last)
