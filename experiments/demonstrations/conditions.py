@@ -68,11 +68,12 @@ class UntilLearned(BaseCallback):
 
 def bot_of(env: gym.Env[Any, Any]) -> Callable[[Any], int]:
     """MiniGrid's own BabyAI bot, which plans with the environment's state; in mazes it is told to fetch the ball."""
+    from minigrid.envs.babyai.core.roomgrid_level import RoomGridLevel
     from minigrid.envs.babyai.core.verifier import ObjDesc, PickupInstr
     from minigrid.utils.baby_ai_bot import BabyAIBot
 
     game: Any = env.unwrapped
-    is_maze = not hasattr(game, "instrs")
+    is_maze = not isinstance(game, RoomGridLevel)
     planner: Any = None
     last: Any = None
 
