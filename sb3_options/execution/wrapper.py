@@ -71,7 +71,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             precision, instead of learning from them.
 
     Raises:
-        TypeError: The action space is not ``Discrete`` from 0 on, or ``feature_map`` is not callable.
+        TypeError: ``env`` is no ``gymnasium.Env``, its action space is not ``Discrete`` from 0 on, or ``feature_map`` is
+            not callable.
         ValueError: An argument is out of its range, or the file's options do not fit the environment.
         FileNotFoundError: There is no ``options_file``.
     """
@@ -90,6 +91,11 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         max_runs: int | None = None,
         check_finite: bool = False,
     ) -> None:
+        if not isinstance(env, gym.Env):
+            raise TypeError(
+                f"{type(env).__name__} is no gymnasium.Env. Convert an environment of the old gym, for instance by "
+                "shimmy.GymV21CompatibilityV0(env=env)."
+            )
         # Not copied: a feature map may be a method of the environment, which would be copied with it.
         RecordConstructorArgs.__init__(
             self,

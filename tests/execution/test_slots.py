@@ -97,6 +97,11 @@ def test_action_space_must_be_discrete(space: Any) -> None:
         OptionsWrapper(env)
 
 
+def test_an_environment_of_the_old_gym_is_to_be_converted() -> None:
+    with pytest.raises(TypeError, match=r"^OldEnv is no gymnasium\.Env\. Convert .+ shimmy\.GymV21CompatibilityV0"):
+        OptionsWrapper(type("OldEnv", (), {"action_space": spaces.Discrete(2)})())
+
+
 @pytest.mark.parametrize("gamma", [0.0, -0.1, 1.0001, float("nan"), float("inf")])
 def test_gamma(gamma: float) -> None:
     with pytest.raises(ValueError, match=rf"^gamma must be in \(0, 1\], got {gamma}\.$"):
