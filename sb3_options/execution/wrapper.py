@@ -71,8 +71,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             precision, instead of learning from them.
 
     Raises:
-        TypeError: ``env`` is no ``gymnasium.Env``, its action space is not ``Discrete`` from 0 on, or ``feature_map`` is
-            not callable.
+        TypeError: ``env`` is no ``gymnasium.Env``, its actions are not ``Discrete`` from 0 on, or ``feature_map``
+            cannot be called.
         ValueError: An argument is out of its range, or the file's options do not fit the environment.
         FileNotFoundError: There is no ``options_file``.
     """
