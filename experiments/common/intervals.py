@@ -14,9 +14,14 @@ from sb3_options.runs.intervals import N_RESAMPLES, Interval, interval_of, iqm, 
 
 def steps_until(runs: Sequence[Result], key: str, most: int) -> dict[str, float]:
     """Interquartile mean of the steps under ``key`` with its interval; a run with None counts ``most``."""
-    steps = [run[key] for run in runs if run[key] is not None]
-    until = iqm_interval(np.array(steps + [most] * (len(runs) - len(steps)), dtype=float))
-    return {"n_runs": len(runs), "n_reached": len(steps), "mean": until.mean, "low": until.low, "high": until.high}
+    until = iqm_interval(capped(runs, key, most))
+    n_reached = sum(run[key] is not None for run in runs)
+    return {"n_runs": len(runs), "n_reached": n_reached, "mean": until.mean, "low": until.low, "high": until.high}
+
+
+def capped(runs: Sequence[Result], key: str, most: int) -> FloatArray:
+    """The steps under ``key``, (n,), ``most`` in the place of None."""
+    return np.array([most if run[key] is None else run[key] for run in runs], dtype=np.float64)
 
 
 def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:

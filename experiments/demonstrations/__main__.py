@@ -7,20 +7,17 @@ Interrupted, it goes on where it was.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
 import tyro
 from rich.table import Table
 
-from experiments.common.intervals import iqm_ratio, steps_until
-from experiments.common.seeds import Part, Result, run_parts
+from experiments.common.intervals import capped, iqm_ratio, steps_until
+from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.demonstrations.conditions import ARMS, EPISODES, LEARNED, PPO, TASKS, Arm, run
-from sb3_options.experience.observations import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +48,8 @@ def main(study: Study) -> None:
     summary: dict[str, dict[str, Any]] = {}
     for name, runs in results.items():
         task = name.split(":")[0]
-        first = _frames(results[f"{task}: {study.arms[0]}"], TASKS[task])
-        ratio = iqm_ratio(first, _frames(runs, TASKS[task]), paired=True)
+        first, frames = (capped(each, "learned", TASKS[task]) for each in (results[f"{task}: {study.arms[0]}"], runs))
+        ratio = iqm_ratio(first, frames, paired=True)
         summary[name] = {**steps_until(runs, "learned", TASKS[task]), "ratio": ratio._asdict()}
     command = f"python -m experiments.demonstrations --runs {study.runs} --first-seed {study.first_seed}"
     command += f" --episodes {study.episodes} --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"
@@ -68,10 +65,6 @@ def main(study: Study) -> None:
         "counts with its whole length.",
         f"Results: {study.out / 'results.json'}",
     )
-
-
-def _frames(runs: Sequence[Result], most: int) -> FloatArray:
-    return np.array([most if run["learned"] is None else run["learned"] for run in runs], dtype=np.float64)
 
 
 if __name__ == "__main__":

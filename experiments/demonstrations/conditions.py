@@ -16,6 +16,7 @@ from experiments.common.seeds import Result
 from experiments.demonstrations.cloning import Cloning
 from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.callbacks.demonstrated import FAILURES
 from sb3_options.envs.minigrid import DISCOVERY, make
 
 Arm = Literal["options, cloning", "cloning", "options"]
@@ -39,9 +40,6 @@ PPO: dict[str, Any] = {
     "ent_coef": 0.01,
 }
 """Those of ``train.py`` for MiniGrid. After cloning there is no bonus for entropy, which would undo it."""
-
-FAILURES = 20
-"""Episodes of a random policy that stand beside the demonstrations, where there are options to discover."""
 
 FIRST_SEED = 10_000
 """Of the episodes that are shown; those of training have others."""

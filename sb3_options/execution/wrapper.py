@@ -21,7 +21,7 @@ from sb3_options.execution import features as feature_maps
 from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, primitive_of, run_option
-from sb3_options.execution.recording import RecordTrajectories, refuse_own
+from sb3_options.execution.recording import RecordTrajectories, record_episodes, refuse_own
 from sb3_options.execution.slots import SlotState, Traits
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun, RunInfo
@@ -203,15 +203,13 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
     def random_trajectories(self, episodes: int, seed: int) -> list[Trajectory]:
         """Episodes of random primitive actions that the environment allows; reset the environment afterwards."""
-        from sb3_options.execution.demonstrations import record_demonstrations
-
         random = np.random.default_rng(seed)
 
         def act(observation: Any) -> int:
             legal = self._legal()
             return int(random.choice(self.n_primitive if legal is None else np.flatnonzero(legal)))
 
-        return record_demonstrations(self, act, episodes, seed=seed)
+        return record_episodes(self, act, episodes, seed)
 
     def concept_features(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, shape (batch, d)."""
