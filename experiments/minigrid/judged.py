@@ -92,9 +92,9 @@ def train(study: Study, task: str, frames: int, seed: int, options: Path | None,
     model = MaskablePPO("MlpPolicy", venv, gamma=0.99, seed=seed, device="cpu", **how)
     discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness={} if study.judge else {"min_reached": 0})
     notes = Notes(discovery, stop=study.until_learned and save is None)
-    began = time.perf_counter()
+    began = time.process_time()
     model.learn(frames, callback=[discovery, notes])
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     assert discovery.discovery is not None  # it has trained
     if save is not None:
         discovery.bank.save(save)

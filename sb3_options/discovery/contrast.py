@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -58,7 +59,9 @@ class Contrast:
         """Count the visits of these trajectories, and of no others."""
         if len(self._numbers) > MAX_FORMER_STATES + 2 * self.n_states:
             self._forget()  # most are of trajectories that are gone
-        self._visits = {t: self._visits.get(t) or _Visits(t, self.group, self._numbers) for t in trajectories}
+        if new := [t for t in trajectories if t not in self._visits]:
+            self._visits |= zip(new, _visits_of(new, self.group, self._numbers), strict=True)
+        self._visits = {t: self._visits[t] for t in trajectories}
         visits = list(self._visits.values())
         success = np.array([t.success for t in trajectories], dtype=bool)
         states = np.concatenate([v.states for v in visits])
@@ -68,7 +71,7 @@ class Contrast:
             durations = np.sort([len(t.trajectory) for t in trajectories if t.success])
             late = np.searchsorted(durations, np.concatenate([v.times for v in visits])) / len(durations)
             weights = np.where(success[of_whom], 1.0, 1.0 - late)
-        first = np.array([v.first for v in visits])
+        first = np.array([v.numbers[0] for v in visits])
         began = np.flatnonzero(first >= 0)
         present = np.bincount(states) > 0  # up to the highest number that is present
         near = self._neighbours(present)
@@ -134,25 +137,36 @@ def _reached(
     return totals
 
 
-class _Visits:
-    """What a trajectory visited."""
+class _Visits(NamedTuple):
+    """What a trajectory visited.
 
-    def __init__(self, labelled: LabelledTrajectory, group: FeatureGroup, numbers: dict[bytes, int]) -> None:
-        places = group.is_place(labelled.features)
-        self.numbers = np.full(len(places), -1)
-        self.states = np.zeros(0, dtype=np.intp)
-        self.times = np.zeros(0, dtype=np.intp)
-        self.first = -1
-        if not places.any():
-            return
-        keys = map(_key, group.own(labelled.features[places]))
-        self.numbers[places] = [numbers.setdefault(key, len(numbers)) for key in keys]
-        self.first = int(self.numbers[0])
-        came = np.unique(labelled.trajectory.visits, return_index=True)[1]  # when to each observation
-        self.states, which = np.unique(self.numbers[places], return_inverse=True)
-        self.times = np.full(len(self.states), came.max(initial=0))
-        np.minimum.at(self.times, which.ravel(), came[places])
+    Attributes:
+        numbers: Of each of its states, (m,); -1 for what is no place.
+        states: The distinct numbers of places.
+        times: When it first came to each of these.
+    """
+
+    numbers: IntArray
+    states: IntArray
+    times: IntArray
 
 
-def _key(state: FloatArray) -> bytes:
-    return (state + 0.0).tobytes()  # -0.0 and 0.0 are one state
+def _visits_of(
+    trajectories: Sequence[LabelledTrajectory], group: FeatureGroup, numbers: dict[bytes, int]
+) -> Iterator[_Visits]:
+    """What each trajectory visited, all at once: a search after a pause has a thousand new ones."""
+    features = np.concatenate([t.features for t in trajectories])
+    came = np.concatenate([t.trajectory.arrivals for t in trajectories])
+    ends = np.cumsum([len(t.features) for t in trajectories]).tolist()
+    places = np.flatnonzero(group.is_place(features))
+    own = group.own(features[places]) + 0.0  # -0.0 and 0.0 are one state
+    keys = own.view(f"V{own.itemsize * own.shape[1]}").ravel().tolist()
+    every = np.full(len(features), -1)
+    every[places] = [numbers.setdefault(key, len(numbers)) for key in keys]
+    of_whom = np.searchsorted(ends, places, side="right")
+    pairs, first = np.unique(of_whom * len(numbers) + every[places], return_index=True)  # states are in order of time
+    whose, states = np.divmod(pairs, len(numbers))
+    times = came[places[first]]
+    bounds = np.searchsorted(whose, np.arange(len(ends) + 1)).tolist()
+    for start, end, low, high in zip([0, *ends], ends, bounds, bounds[1:], strict=False):
+        yield _Visits(every[start:end], states[low:high], times[low:high])

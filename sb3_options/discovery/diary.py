@@ -30,7 +30,7 @@ class Diary:
         n: Trajectories seen.
         spent: Nominal seconds of discovery.
         skipped: Searches that were not made, because the budget was spent.
-        seconds: Measured seconds of discovery. No decision depends on them.
+        seconds: Measured processor seconds of discovery. No decision depends on them.
         reported: Whether the environment says itself what succeeds, with ``info["is_success"]``.
         n_withdrawn: Subgoals for which no option could be learned.
     """

@@ -86,16 +86,18 @@ class OutcomeDatabase(TrajectoryDatabase):
 
     def add(self, trajectory: LabelledTrajectory) -> None:
         """Append, dropping the oldest one of its kind when there are too many."""
-        if self._salience.add(trajectory):
+        anew = self._salience.add(trajectory)
+        if anew:
             wholes = [each.whole or each for each in self._trajectories]
             self._trajectories = [self._salience.label(each) for each in wholes]
             self.n_entered += self.n_successful - sum(each.success for each in wholes)
         labelled = self._salience.label(trajectory)
         self.n_entered += labelled.success
-        every = [*self._trajectories, labelled]
-        kept = [self._newest([each for each in every if each.success is kind]) for kind in (False, True)]
-        ids = {id(each) for kind in kept for each in kind}
-        self._trajectories = [each for each in every if id(each) in ids]
+        self._trajectories.append(labelled)
+        for kind in (False, True) if anew else (labelled.success,):
+            every = [each for each in self._trajectories if each.success is kind]
+            for old in every[: len(every) - len(self._newest(every))]:
+                self._trajectories.remove(old)
 
     def __iter__(self) -> Iterator[LabelledTrajectory]:
         """The unsuccessful ones, then the successful ones, each oldest first."""

@@ -48,6 +48,11 @@ class Trajectory:
         """Duration T in primitive steps."""
         return len(self.actions)
 
+    @cached_property
+    def arrivals(self) -> IntArray:
+        """When the agent first came to each of the ``states``, (m,)."""
+        return np.unique(self.visits, return_index=True)[1]
+
     @property
     def n_bytes(self) -> int:
         """What its arrays take."""
@@ -136,7 +141,7 @@ class TrajectoryDatabase:
     @property
     def n_successful(self) -> int:
         """How many successful ones there are."""
-        return sum(each.success for each in self._trajectories)
+        return sum([each.success for each in self._trajectories])
 
     def embed_again(self, feature_map: FeatureMap) -> None:
         """Give every trajectory the features of another φ; what held the old ones holds them still."""

@@ -70,8 +70,8 @@ class GroupedPeaks(Method):
 
     def is_due(self, database: TrajectoryDatabase) -> bool:
         """Whether enough trajectories have succeeded since the last search."""
-        growth = self.settings.search_growth * database.n_successful
-        return cast("OutcomeDatabase", database).n_entered - self._searched >= max(1.0, growth)
+        n_new = cast("OutcomeDatabase", database).n_entered - self._searched
+        return n_new >= 1 and n_new >= self.settings.search_growth * database.n_successful
 
     def update(self, experience: Experience) -> list[Region]:
         """Search the bags of every group once, and propose the concepts that have become persistent."""
