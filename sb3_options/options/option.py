@@ -36,9 +36,14 @@ class SingleCache(Generic[Result]):
 
     def __call__(self, compute: Callable[[Observations], Result], observations: Observations) -> Result:
         """The result of ``compute``, always the same function; kept if the batch is a single observation."""
-        if obs_batch.batch_size(observations) != 1:
+        if type(observations) is np.ndarray:  # the common case first, without calls: this runs in every step
+            if len(observations) != 1:
+                return compute(observations)
+            key = observations.tobytes()
+        elif obs_batch.batch_size(observations) != 1:
             return compute(observations)
-        key = obs_batch.key_of(observations)
+        else:
+            key = obs_batch.key_of(observations)
         result = self._results.get(key)
         if result is None:
             if self._bytes > CACHE_BYTES:
@@ -170,11 +175,15 @@ class SubgoalOption(Option):
     def _forget_results(self) -> None:
         self._membership: SingleCache[tuple[BoolArray, BoolArray]] = SingleCache()
         self._greedy: SingleCache[IntArray] = SingleCache()
+        # By features: many observations have the same. Copies that are bound to the φ of other environments share them.
+        self._places: SingleCache[tuple[BoolArray, BoolArray]] = SingleCache()
+        self._actions_at: SingleCache[IntArray] = SingleCache()
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """The same option with φ set."""
         bound = copy.copy(self)
         bound._feature_map = feature_map
+        bound._places, bound._actions_at = self._places, self._actions_at
         return bound
 
     def with_policy(self, option_policy: OptionPolicy) -> SubgoalOption:
@@ -202,15 +211,16 @@ class SubgoalOption(Option):
         return self._membership(self._computed_membership, observations)[1].astype(np.float64)
 
     def _computed_membership(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
-        features = self._features(observations)
+        return self._places(self._membership_of, self._features(observations))
+
+    def _membership_of(self, features: Any) -> tuple[BoolArray, BoolArray]:
         reached = self.subgoal.contains(features)
         return self.initiation_set.contains(features) & ~reached, reached
 
     def _computed_actions(self, observations: Observations) -> IntArray:
-        sees = observations
-        if self.policy_input == "features":
-            sees = self.initiation_set.own(self._features(observations))
-        return self.option_policy.actions(sees)
+        if self.policy_input != "features":
+            return self.option_policy.actions(observations)
+        return self._actions_at(self.option_policy.actions, self.initiation_set.own(self._features(observations)))
 
     def _features(self, observations: Observations) -> FloatArray:
         if self._feature_map is None:
@@ -218,10 +228,10 @@ class SubgoalOption(Option):
                 f"Option {self.name!r} has no feature map: add it to the bank of an OptionsWrapper that has one, "
                 "or call option.bind(feature_map)."
             )
-        return self._feature_map(observations)
+        return np.asarray(self._feature_map(observations), dtype=np.float64)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_greedy")}
+        kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_greedy", "_places", "_actions_at")}
         return {**kept, "_feature_map": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
