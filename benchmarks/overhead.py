@@ -3,7 +3,8 @@
 ``python -m benchmarks.overhead --out FOLDER`` lets the contestants of a scenario (DQN; PPO; PPO with eight worker
 processes) take turns, a chunk of training each, so that a machine that slows down slows all of them; ratios are taken
 within each turn. It writes ``results.json`` and ``overhead.png``. ``--scenarios
-ppo_checkpoints,dqn_checkpoints,large_buffer`` measures the default checkpoints of ``train.py``, in processor time.
+ppo_checkpoints,dqn_checkpoints,large_buffer`` measures the default checkpoints of ``train.py``, in processor time, and
+``--scenarios phases`` where the time of a step goes.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 import sb3_options.envs  # noqa: F401  # registers them
-from benchmarks import checkpoints
+from benchmarks import checkpoints, phases
 from benchmarks.turns import take_turns
 from experiments.common.study import show, write
 from sb3_options import OptionReplayBuffer, OptionsWrapper
@@ -60,7 +61,7 @@ class Benchmark:
         chunk: Primitive steps of training a turn.
         seed: Of everything random.
         scenarios: Which, with commas between: dqn, ppo, ppo_subprocesses; ppo_checkpoints, dqn_checkpoints,
-            large_buffer, whose turns are as long as a checkpoint is good for.
+            large_buffer, whose turns are as long as a checkpoint is good for; phases, ten chunks of each training.
     """
 
     out: Path
@@ -126,7 +127,7 @@ def clock_of(scenario: str) -> Callable[[], float]:
 def main(benchmark: Benchmark) -> None:
     """Run the benchmark, and write and print what it found."""
     chosen = [scenario.strip() for scenario in benchmark.scenarios.split(",")]
-    known = (*KINDS, *checkpoints.SCENARIOS)
+    known = (*KINDS, *checkpoints.SCENARIOS, "phases")
     unknown = set(chosen) - set(known)
     if unknown:
         raise SystemExit(f"--scenarios: there is no {unknown.pop()!r}, choose from {', '.join(known)}.")
@@ -138,10 +139,17 @@ def main(benchmark: Benchmark) -> None:
     costs = {
         scenario: checkpoints.measure(scenario, benchmark.rounds, benchmark.seed)
         for scenario in chosen
-        if scenario not in KINDS
+        if scenario in checkpoints.SCENARIOS
     }
-    write(benchmark.out, {"command": command, **results, **costs}, {"overhead": draw(rates)} if rates else {}, dpi=110)
+    spent = phases.measure(10 * benchmark.chunk, benchmark.seed) if "phases" in chosen else {}
+    write(
+        benchmark.out,
+        {"command": command, **results, **costs, **({"phases": spent} if spent else {})},
+        {"overhead": draw(rates)} if rates else {},
+        dpi=110,
+    )
     tables = ([_table(results)] if results else []) + ([checkpoints.table(costs)] if costs else [])
+    tables += [phases.table(spent)] if spent else []
     show(*tables, f"Results: {benchmark.out}")
 
 

@@ -18,8 +18,7 @@ from sb3_options.density.arrays import FloatArray
 from sb3_options.density.diverse_density import SURVIVORS, best_apart
 from sb3_options.density.lbfgs import CURVED, FINEST, SHORTEN, SHORTEST, SUFFICIENT
 
-MEMORY = int(__import__("os").environ.get("MEM", "10"))
-APART = 0.5
+MEMORY = 10
 """Curvature pairs kept."""
 
 LARGEST_P = np.float32(1 - 2**-20)

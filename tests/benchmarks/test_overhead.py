@@ -1,11 +1,12 @@
 """The overhead benchmark, small: its arithmetic, and that it runs."""
 
 import json
+import time
 from pathlib import Path
 
 import pytest
 
-from benchmarks import checkpoints, overhead
+from benchmarks import checkpoints, overhead, phases
 from sb3_options.runs.config import configure
 
 
@@ -35,3 +36,12 @@ def test_every_turn_has_a_checkpoint(algo: str, tmp_path: Path) -> None:
     found = checkpoints.race(small, tmp_path, 2, small.checkpoint_freq, description="")
     assert found["checkpoints_written"] == 2
     assert 0 < found["share_of_processor_time"]["mean"] < 1
+
+
+def test_phases_of_a_training_add_up() -> None:
+    began = time.process_time()
+    spent = phases._phases("TwoRooms", "maskable_ppo", "options", 512, 0)
+    whole = time.process_time() - began
+    times = [spent[phase] for phase in phases.PHASES]
+    assert all(x > 0 for x in times)
+    assert sum(times) * 512 / 1e6 <= whole
