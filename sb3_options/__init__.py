@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from sb3_options.execution.concepts import ConceptsInObservation, WithoutConcepts
     from sb3_options.execution.demonstrations import record_demonstrations
     from sb3_options.execution.wrapper import OptionsWrapper
+    from sb3_options.experience.recording import logged_trajectory
     from sb3_options.learning.dqn import OptionDQN
     from sb3_options.learning.expansion import expand_action_space
     from sb3_options.learning.macro_q import MacroQ
@@ -37,6 +38,7 @@ __all__ = [
     "load_demonstrations",
     "load_model",
     "load_options",
+    "logged_trajectory",
     "record_demonstrations",
     "save_demonstrations",
 ]
@@ -49,6 +51,7 @@ _MODULES = {
     "WithoutConcepts": "sb3_options.execution.concepts",
     "record_demonstrations": "sb3_options.execution.demonstrations",
     "OptionsWrapper": "sb3_options.execution.wrapper",
+    "logged_trajectory": "sb3_options.experience.recording",
     "OptionDQN": "sb3_options.learning.dqn",
     "expand_action_space": "sb3_options.learning.expansion",
     "MacroQ": "sb3_options.learning.macro_q",

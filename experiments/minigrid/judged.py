@@ -1,8 +1,9 @@
 """``python -m experiments.minigrid.judged --out FOLDER``: what judging options by their use changes, task by task.
 
-MaskablePPO with the settings of ``train.py``. In one part options are discovered in the task; in another they come from
-40,000 steps in two rooms (``--carried``). Noted are the share of training that searches take, how the last 100 runs of
-each option ended, which options were closed, and the frames to a success rate of 0.8.
+MaskablePPO with the settings of ``train.py``. Options are discovered in the task, from the first step or after
+demonstrations (``--shown``), or they come from 40,000 steps in two rooms (``--carried``). Noted are the share of
+training that searches take, how the last 100 runs of each option ended, which options were closed, and the frames to a
+success rate of 0.8.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, write
-from sb3_options import OptionsWrapper
+from experiments.demonstrations.conditions import FIRST_SEED, bot_of
+from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs.minigrid import DISCOVERY, make
 
@@ -41,6 +43,7 @@ class Study(Flags):
         carried: Whether options come from two rooms.
         judge: Whether options are judged.
         until_learned: Whether training ends at a success rate of 0.8.
+        shown: Demonstrations of MiniGrid's own bot that discovery begins with.
     """
 
     tasks: str = "PutNear-6x6-N2,LavaGapS6,ObstructedMaze-1Dl"
@@ -50,6 +53,7 @@ class Study(Flags):
     carried: bool = False
     judge: bool = True
     until_learned: bool = False
+    shown: int = 0
 
 
 class Notes(BaseCallback):
@@ -90,7 +94,10 @@ def train(study: Study, task: str, frames: int, seed: int, options: Path | None,
     venv = make_vec_env(lambda: make(task, asked=False), 8, seed=seed, wrapper_class=wrapped)
     how: dict[str, Any] = {"n_steps": 128, "batch_size": 256, "n_epochs": 4, "learning_rate": 1e-3, "ent_coef": 0.01}
     model = MaskablePPO("MlpPolicy", venv, gamma=0.99, seed=seed, device="cpu", **how)
-    discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness={} if study.judge else {"min_reached": 0})
+    env = wrapped(make(task, asked=False))
+    shown = record_demonstrations(env, bot_of(env), study.shown, seed=FIRST_SEED + 1000 * seed) if study.shown else None
+    judging = {} if study.judge else {"min_reached": 0}
+    discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness=judging, demonstrations=shown)
     notes = Notes(discovery, stop=study.until_learned and save is None)
     began = time.process_time()
     model.learn(frames, callback=[discovery, notes])
@@ -126,9 +133,9 @@ def main(study: Study) -> None:
     """Run the study, and write what it found."""
     tasks = study.tasks.split(",")
     parts = [Part(task, partial(run, study, task), study.out / "runs" / task) for task in tasks]
-    varied = {name: getattr(study, name) for name in ("frames", "carried", "judge", "until_learned")}
+    varied = {name: getattr(study, name) for name in ("frames", "carried", "judge", "until_learned", "shown")}
     results = run_parts(parts, study.seeds(), settings=varied, on=study, description="MiniGrid")
-    flags = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in varied.items() if value is not False)
+    flags = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in varied.items() if value)
     flags = flags.replace(" True", "").replace("--judge", "") + ("" if study.judge else " --no-judge")
     command = f"python -m experiments.minigrid.judged --tasks {study.tasks} {flags} --runs {study.runs} --out FOLDER"
     write(study.out, {"command": " ".join(command.split()), **varied, "results": results}, {})

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sb3_options.experience import observations as obs_batch
+from sb3_options.experience.observations import Observations
 from sb3_options.experience.trajectories import Trajectory
 
 logger = logging.getLogger("sb3_options")
@@ -190,3 +193,40 @@ class SegmentRecorder(TrajectoryRecorder):
         super().end(terminated=False, truncated=False, is_success=success)
         self._start(here)
         self._may_be_peak = False
+
+
+def logged_trajectory(
+    observations: Observations | Sequence[Any],
+    actions: ArrayLike,
+    rewards: ArrayLike,
+    *,
+    terminated: bool,
+    is_success: bool | None = None,
+) -> Trajectory:
+    """A trajectory of an episode that a log or a data set holds, such as one of Minari's.
+
+    Args:
+        observations: T + 1 observations as the environment returns them, those of a dictionary space as one dictionary
+            of arrays.
+        actions: T primitive actions.
+        rewards: T undiscounted rewards.
+        terminated: Whether the episode ended in a terminal state. Otherwise it was truncated.
+        is_success: Whether it succeeded; by default the rule of ``SubgoalDiscoveryCallback(success=…)`` says.
+
+    Raises:
+        ValueError: The lengths do not fit, or the episode is longer than `LONGEST_EPISODE`.
+    """
+    is_batch = isinstance(observations, np.ndarray | Mapping)
+    batch: Any = observations if is_batch else obs_batch.stack(list(observations))
+    steps = list(zip(np.asarray(actions).tolist(), np.asarray(rewards).tolist(), strict=True))
+    if not len(steps) + 1 == obs_batch.batch_size(batch) <= LONGEST_EPISODE + 1:
+        raise ValueError(
+            f"An episode of {len(steps)} actions needs {len(steps) + 1} observations, got "
+            f"{obs_batch.batch_size(batch)}; it may have at most {LONGEST_EPISODE:,} actions."
+        )
+    recorder = TrajectoryRecorder()
+    recorder.begin(obs_batch.take(batch, 0))
+    for time, (action, reward) in enumerate(steps, start=1):
+        recorder.record(action, reward, obs_batch.take(batch, time))
+    recorder.end(terminated=terminated, truncated=not terminated, is_success=is_success)
+    return recorder.finished[0]

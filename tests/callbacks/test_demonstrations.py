@@ -1,6 +1,7 @@
 """Options, and a policy's warm start, from demonstrations."""
 
 import dataclasses
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,18 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize
 
-from sb3_options import OptionsWrapper, load_demonstrations, record_demonstrations, save_demonstrations
+from sb3_options import (
+    OptionsWrapper,
+    load_demonstrations,
+    logged_trajectory,
+    record_demonstrations,
+    save_demonstrations,
+)
 from sb3_options.callbacks import SubgoalDiscoveryCallback, discover
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from tests.callbacks.test_checkpoint_resuming import check_resumes, model_of, venv_of
+from tests.support.documents import ROOT, python_of
 from tests.support.helpers import equal, table_option, trajectory_of
 from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, make_optioned_rooms, optioned_rooms, small_rooms
 
@@ -159,6 +167,54 @@ def test_demonstrations_without_a_success_or_of_another_type_are_refused() -> No
         discover([failed], optioned_rooms())
     with pytest.raises(TypeError, match="record_demonstrations"):
         discover([failed.actions], optioned_rooms())  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize("as_list", [True, False])
+def test_a_log_gives_the_trajectory_that_was_recorded(shown: list[Trajectory], as_list: bool) -> None:
+    for each in shown:
+        log: Any = np.asarray(each.states)[each.visits]
+        again = logged_trajectory(
+            list(log) if as_list else log, each.actions, each.rewards, terminated=True, is_success=True
+        )
+        assert all(equal(getattr(again, field), value) for field, value in vars(each).items())
+
+
+def test_a_log_of_a_dictionary_space_is_read_and_one_that_misses_a_step_is_refused() -> None:
+    log = {"place": np.array([[1], [2], [1]])}
+    again = logged_trajectory(log, [0, 1], [0.0, 0.0], terminated=False)
+    assert equal(again.states, {"place": np.array([[1], [2]])})
+    assert equal(again.visits, np.array([0, 1, 0]))
+    assert again.truncated
+    with pytest.raises(ValueError, match="1 actions needs 2 observations, got 3"):
+        logged_trajectory(log, [0], [0.0], terminated=False)
+
+
+def test_the_guide_reads_a_data_set_of_minari(
+    shown: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("h5py", reason="needs Minari: pip install .[minari]")
+    minari = pytest.importorskip("minari", reason="needs Minari: pip install .[minari]")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    episodes = [
+        minari.data_collector.EpisodeBuffer(
+            observations=list(np.asarray(each.states)[each.visits]),
+            actions=list(each.actions),
+            rewards=list(each.rewards),
+            terminations=[*[False] * (len(each) - 1), True],
+            truncations=[False] * len(each),
+            infos={},
+        )
+        for each in shown
+    ]
+    rooms = small_rooms()
+    spaces = {"observation_space": rooms.observation_space, "action_space": rooms.action_space}
+    with warnings.catch_warnings(action="ignore"):  # it asks for an author, a licence and the like
+        minari.create_dataset_from_buffers("rooms/expert-v0", episodes, **spaces)
+    (program,) = python_of(ROOT / "docs" / "guide" / "demonstrations.md", "py")
+    read: dict[str, Any] = {}
+    exec(program, read)
+    assert [each.visits.tolist() for each in read["shown"]] == [each.visits.tolist() for each in shown]
+    assert len(discover(read["shown"], optioned_rooms(), settings=FAST_DISCOVERY))
 
 
 def test_a_file_holds_the_same_trajectories_and_a_damaged_one_is_refused(
