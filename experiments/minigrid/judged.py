@@ -137,7 +137,8 @@ def main(study: Study) -> None:
     results = run_parts(parts, study.seeds(), settings=varied, on=study, description="MiniGrid")
     flags = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in varied.items() if value)
     flags = flags.replace(" True", "").replace("--judge", "") + ("" if study.judge else " --no-judge")
-    command = f"python -m experiments.minigrid.judged --tasks {study.tasks} {flags} --runs {study.runs} --out FOLDER"
+    command = f"python -m experiments.minigrid.judged --tasks {study.tasks} {flags} --runs {study.runs} "
+    command += f"--first-seed {study.first_seed} --out FOLDER"
     write(study.out, {"command": " ".join(command.split()), **varied, "results": results}, {})
 
 
