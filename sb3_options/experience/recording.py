@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import Observations
@@ -197,8 +196,8 @@ class SegmentRecorder(TrajectoryRecorder):
 
 def logged_trajectory(
     observations: Observations | Sequence[Any],
-    actions: ArrayLike,
-    rewards: ArrayLike,
+    actions: Iterable[int],
+    rewards: Iterable[float],
     *,
     terminated: bool,
     is_success: bool | None = None,
@@ -216,17 +215,15 @@ def logged_trajectory(
     Raises:
         ValueError: The lengths do not fit, or the episode is longer than `LONGEST_EPISODE`.
     """
-    is_batch = isinstance(observations, np.ndarray | Mapping)
-    batch: Any = observations if is_batch else obs_batch.stack(list(observations))
-    steps = list(zip(np.asarray(actions).tolist(), np.asarray(rewards).tolist(), strict=True))
-    if not len(steps) + 1 == obs_batch.batch_size(batch) <= LONGEST_EPISODE + 1:
-        raise ValueError(
-            f"An episode of {len(steps)} actions needs {len(steps) + 1} observations, got "
-            f"{obs_batch.batch_size(batch)}; it may have at most {LONGEST_EPISODE:,} actions."
-        )
+    batch: Any = observations if isinstance(observations, Mapping) else np.asarray(observations)
+    steps = list(zip(actions, rewards, strict=True))
+    n_observations = obs_batch.batch_size(batch)
+    if not len(steps) + 1 == n_observations <= LONGEST_EPISODE + 1:
+        wanted = f"{len(steps)} actions needs {len(steps) + 1} observations"
+        raise ValueError(f"An episode of {wanted}, got {n_observations}, and at most {LONGEST_EPISODE:,} actions.")
     recorder = TrajectoryRecorder()
     recorder.begin(obs_batch.take(batch, 0))
     for time, (action, reward) in enumerate(steps, start=1):
-        recorder.record(action, reward, obs_batch.take(batch, time))
+        recorder.record(int(action), float(reward), obs_batch.take(batch, time))
     recorder.end(terminated=terminated, truncated=not terminated, is_success=is_success)
     return recorder.finished[0]

@@ -36,14 +36,10 @@ class SingleCache(Generic[Result]):
 
     def __call__(self, compute: Callable[[Observations], Result], observations: Observations) -> Result:
         """The result of ``compute``, always the same function; kept if the batch is a single observation."""
-        if type(observations) is np.ndarray:  # the common case first, without calls: this runs in every step
-            if len(observations) != 1:
-                return compute(observations)
-            key = observations.tobytes()
-        elif obs_batch.batch_size(observations) != 1:
+        array = observations if type(observations) is np.ndarray else None  # without calls: this runs in every step
+        if (obs_batch.batch_size(observations) if array is None else len(array)) != 1:
             return compute(observations)
-        else:
-            key = obs_batch.key_of(observations)
+        key = obs_batch.key_of(observations) if array is None else array.tobytes()
         result = self._results.get(key)
         if result is None:
             if self._bytes > CACHE_BYTES:
