@@ -64,12 +64,12 @@ def _check(trajectory: Any, number: int, traits: Traits) -> None:
     first = take(trajectory.states, 0)
     fits = isinstance(first, dict) == isinstance(space, spaces.Dict) and space.contains(first)
     n_states = batch_size(trajectory.states)
-    n_steps = len(trajectory)
-    visits = trajectory.visits
-    whole = len(visits) == n_steps + 1 == len(trajectory.rewards) + 1 and np.isin(visits, range(n_states)).all()
+    in_order = np.array_equal(trajectory.visits[np.sort(trajectory.arrivals)], range(n_states))  # and none is left out
+    whole = in_order and len(trajectory.visits) == len(trajectory) + 1 == len(trajectory.rewards) + 1
     legal = np.isin(trajectory.actions, range(traits.n_primitive)).all()
     if not (fits and whole and legal and np.isfinite(trajectory.rewards).all()):
         raise ValueError(
             f"Demonstration {number} does not fit the environment: its observations must be in {space}, its actions "
-            f"from 0 to {traits.n_primitive - 1}, and its rewards finite, with a visit before and after every action."
+            f"from 0 to {traits.n_primitive - 1}, its rewards finite, and its states in order of first visit, with a "
+            "visit before and after every action."
         )

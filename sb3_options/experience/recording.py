@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import operator
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from sb3_options.experience import observations as obs_batch
-from sb3_options.experience.observations import Observations
+from sb3_options.experience.observations import FloatArray, IntArray, Observations
 from sb3_options.experience.trajectories import Trajectory
 
 logger = logging.getLogger("sb3_options")
@@ -196,8 +197,8 @@ class SegmentRecorder(TrajectoryRecorder):
 
 def logged_trajectory(
     observations: Observations | Sequence[Any],
-    actions: Iterable[int],
-    rewards: Iterable[float],
+    actions: Sequence[int] | IntArray,
+    rewards: Sequence[float] | FloatArray,
     *,
     terminated: bool,
     is_success: bool | None = None,
@@ -207,23 +208,23 @@ def logged_trajectory(
     Args:
         observations: T + 1 observations as the environment returns them, those of a dictionary space as one dictionary
             of arrays.
-        actions: T primitive actions.
+        actions: T primitive actions, whole numbers.
         rewards: T undiscounted rewards.
         terminated: Whether the episode ended in a terminal state. Otherwise it was truncated.
         is_success: Whether it succeeded; by default the rule of ``SubgoalDiscoveryCallback(success=…)`` says.
 
     Raises:
-        ValueError: The lengths do not fit, or the episode is longer than `LONGEST_EPISODE`.
+        ValueError: The lengths do not fit, or T is 0 or above `LONGEST_EPISODE`.
+        TypeError: An action is no whole number.
     """
     batch: Any = observations if isinstance(observations, Mapping) else np.asarray(observations)
-    steps = list(zip(actions, rewards, strict=True))
-    n_observations = obs_batch.batch_size(batch)
-    if not len(steps) + 1 == n_observations <= LONGEST_EPISODE + 1:
-        wanted = f"{len(steps)} actions needs {len(steps) + 1} observations"
-        raise ValueError(f"An episode of {wanted}, got {n_observations}, and at most {LONGEST_EPISODE:,} actions.")
+    n_actions, n_rewards, n_observations = len(actions), len(rewards), obs_batch.batch_size(batch)
+    if not 1 <= n_actions == n_rewards == n_observations - 1 <= LONGEST_EPISODE:
+        given = f"{n_actions}, {n_rewards} and {n_observations}"
+        raise ValueError(f"Give T actions, T rewards, T + 1 observations, 1 ≤ T ≤ {LONGEST_EPISODE:,}; got {given}.")
     recorder = TrajectoryRecorder()
     recorder.begin(obs_batch.take(batch, 0))
-    for time, (action, reward) in enumerate(steps, start=1):
-        recorder.record(int(action), float(reward), obs_batch.take(batch, time))
+    for time, (action, reward) in enumerate(zip(actions, rewards, strict=True), start=1):
+        recorder.record(operator.index(action), float(reward), obs_batch.take(batch, time))
     recorder.end(terminated=terminated, truncated=not terminated, is_success=is_success)
     return recorder.finished[0]

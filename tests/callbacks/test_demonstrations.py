@@ -152,6 +152,8 @@ def test_options_without_training(shown: list[Trajectory], tmp_path: Path) -> No
         {"states": np.full((4, 45), np.nan, np.float32)},
         {"visits": np.array([0, 1, 2, 4])},
         {"visits": np.arange(3)},
+        {"visits": np.array([1, 0, 2, 3])},
+        {"visits": np.array([0, 1, 2, 2])},
         {"rewards": np.zeros(4)},
     ],
 )
@@ -179,14 +181,23 @@ def test_a_log_gives_the_trajectory_that_was_recorded(shown: list[Trajectory], a
         assert all(equal(getattr(again, field), value) for field, value in vars(each).items())
 
 
-def test_a_log_of_a_dictionary_space_is_read_and_one_that_misses_a_step_is_refused() -> None:
+def test_a_log_of_a_dictionary_space_is_read() -> None:
     log = {"place": np.array([[1], [2], [1]])}
     again = logged_trajectory(log, [0, 1], [0.0, 0.0], terminated=False)
     assert equal(again.states, {"place": np.array([[1], [2]])})
     assert equal(again.visits, np.array([0, 1, 0]))
     assert again.truncated
-    with pytest.raises(ValueError, match="1 actions needs 2 observations, got 3"):
-        logged_trajectory(log, [0], [0.0], terminated=False)
+
+
+@pytest.mark.parametrize(("n_actions", "n_rewards", "n_observations"), [(1, 1, 3), (2, 1, 3), (1, 2, 3), (0, 0, 1)])
+def test_a_log_that_misses_a_step_is_refused(n_actions: int, n_rewards: int, n_observations: int) -> None:
+    with pytest.raises(ValueError, match=rf"T \+ 1 observations.*; got {n_actions}, {n_rewards} and {n_observations}"):
+        logged_trajectory(np.zeros((n_observations, 2)), [0] * n_actions, [0.0] * n_rewards, terminated=False)
+
+
+def test_actions_of_a_log_are_whole_numbers() -> None:
+    with pytest.raises(TypeError, match="integer"):
+        logged_trajectory(np.zeros((2, 2)), [0.7], [0.0], terminated=False)  # type: ignore[list-item]
 
 
 def test_the_guide_reads_a_data_set_of_minari(
