@@ -86,18 +86,17 @@ class OutcomeDatabase(TrajectoryDatabase):
 
     def add(self, trajectory: LabelledTrajectory) -> None:
         """Append, dropping the oldest one of its kind when there are too many."""
-        anew = self._salience.add(trajectory)
-        if anew:
+        if self._salience.add(trajectory):
             wholes = [each.whole or each for each in self._trajectories]
-            self._trajectories = [self._salience.label(each) for each in wholes]
-            self.n_entered += self.n_successful - sum(each.success for each in wholes)
-        labelled = self._salience.label(trajectory)
-        self.n_entered += labelled.success
-        self._trajectories.append(labelled)
-        for kind in (False, True) if anew else (labelled.success,):
-            every = [each for each in self._trajectories if each.success is kind]
-            for old in every[: len(every) - len(self._newest(every))]:
-                self._trajectories.remove(old)
+            labelled = [self._salience.label(each) for each in wholes]
+            self.n_entered += sum(each.success for each in labelled) - sum(each.success for each in wholes)
+            self._replace(labelled)
+        self._append(self._salience.label(trajectory))
+        self.n_entered += self._trajectories[-1].success
+
+    def kind(self, trajectory: LabelledTrajectory) -> bool:
+        """Successes and failures have a capacity each."""
+        return trajectory.success
 
     def __iter__(self) -> Iterator[LabelledTrajectory]:
         """The unsuccessful ones, then the successful ones, each oldest first."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from sb3_options.experience.observations import FeatureMap, FloatArray, IntArray, Observations
-from sb3_options.state import storable
+from sb3_options.state import restore, state_of, storable
 
 logger = logging.getLogger("sb3_options")
 
@@ -107,6 +108,9 @@ class TrajectoryDatabase:
     Args:
         capacity: How many trajectories are kept, at least 1.
         max_bytes: How much memory their arrays may take; the last trajectory is kept whatever it takes.
+
+    Attributes:
+        n_successful: How many successful ones there are.
     """
 
     STATE: ClassVar[tuple[str, ...]] = ("_trajectories",)
@@ -115,40 +119,65 @@ class TrajectoryDatabase:
         self.capacity = capacity
         self.max_bytes = max_bytes
         self._trajectories: list[LabelledTrajectory] = []
+        self._n: Counter[bool] = Counter()  # by kind
+        self._n_bytes: Counter[bool] = Counter()
+        self.n_successful = 0
         self._warned = False
 
-    def add(self, trajectory: LabelledTrajectory) -> None:
-        """Append, dropping the oldest ones when full."""
-        self._trajectories = self._newest([*self._trajectories, trajectory])
+    def kind(self, trajectory: LabelledTrajectory) -> bool:
+        """Each kind has a capacity of its own; here all trajectories are of one kind."""
+        return False
 
-    def _newest(self, trajectories: list[LabelledTrajectory]) -> list[LabelledTrajectory]:
-        """Those that may be kept. The first time that memory is why others are not, there is a warning."""
-        kept = trajectories[-self.capacity :]
-        n_bytes = sum(each.n_bytes for each in kept)
-        while n_bytes > self.max_bytes and len(kept) > 1:
-            n_bytes -= kept.pop(0).n_bytes
-            if not self._warned:
+    def add(self, trajectory: LabelledTrajectory) -> None:
+        """Append, dropping the oldest ones of its kind when these are too many, or too large."""
+        self._append(trajectory)
+
+    def _append(self, trajectory: LabelledTrajectory) -> None:
+        kind = self.kind(trajectory)
+        self._trajectories.append(trajectory)
+        self._count(trajectory, 1)
+        while self._n[kind] > self.capacity or (self._n_bytes[kind] > self.max_bytes and self._n[kind] > 1):
+            for_memory = self._n[kind] <= self.capacity
+            i = next(i for i, each in enumerate(self._trajectories) if self.kind(each) is kind)
+            self._count(self._trajectories.pop(i), -1)
+            if for_memory and not self._warned:
                 self._warned = True
                 logger.warning(
                     "The last %d trajectories take all of their memory, %s bytes: fewer than capacity=%d are kept. Let "
                     "the environment give smaller observations.",
-                    len(kept),
+                    self._n[kind],
                     f"{self.max_bytes:,}",
                     self.capacity,
                 )
-        return kept
 
-    @property
-    def n_successful(self) -> int:
-        """How many successful ones there are."""
-        return sum([each.success for each in self._trajectories])
+    def _count(self, trajectory: LabelledTrajectory, n: int) -> None:
+        kind = self.kind(trajectory)
+        self._n[kind] += n
+        self._n_bytes[kind] += n * trajectory.n_bytes
+        self.n_successful += n * trajectory.success
+
+    def _replace(self, trajectories: Iterable[LabelledTrajectory]) -> None:
+        """Hold these instead."""
+        every = list(trajectories)
+        self._trajectories, self._n, self._n_bytes, self.n_successful = [], Counter(), Counter(), 0
+        for each in every:
+            self._append(each)
+
+    def get_state(self) -> dict[str, Any]:
+        """As `state_of`."""
+        return state_of(self)
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on with the state, and count what it holds."""
+        restore(self, state)
+        self._replace(self._trajectories)
 
     def embed_again(self, feature_map: FeatureMap) -> None:
         """Give every trajectory the features of another φ; what held the old ones holds them still."""
-        self._trajectories = [
+        self._replace(
             LabelledTrajectory(old.trajectory, feature_map(old.trajectory.states), old.success)
             for old in self._trajectories
-        ]
+        )
 
     def __len__(self) -> int:
         return len(self._trajectories)

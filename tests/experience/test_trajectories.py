@@ -8,7 +8,6 @@ import pytest
 
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.experience.trajectories import TrajectoryDatabase
-from sb3_options.state import restore, state_of
 from tests.support.helpers import line
 
 
@@ -25,7 +24,7 @@ def test_the_database_counts_successes() -> None:
     database, again = TrajectoryDatabase(3), TrajectoryDatabase(3)
     for success in (True, False, True, True, False, False):
         database.add(replace(line([0, 1]), success=success))
-        restore(again, state_of(database))
+        again.set_state(database.get_state())
         assert database.n_successful == again.n_successful == sum(each.success for each in database)
 
 
