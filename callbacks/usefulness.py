@@ -56,12 +56,14 @@ class Episode(NamedTuple):
     success: bool
 
 
-def verdict(endings: Sequence[Ending], episodes: Iterable[Episode], min_reached: float) -> Verdict | None:
+def verdict(
+    endings: Sequence[Ending], episodes: Iterable[Episode], min_reached: float, *, nowhere: bool = False
+) -> Verdict | None:
     """Why an option is to be closed, from its last runs and episodes; None if it stays.
 
-    An option whose runs go in circles until `max_duration` is closed. One that hardly ever arrives, or that mostly ends
-    episodes in failure, stays if episodes with it succeed more often than those without it: in a hard task most runs of
-    primitive actions fail, too.
+    An option whose runs go in circles until `max_duration` is closed. One that arrives from ``nowhere`` often enough,
+    that hardly ever arrives, or that mostly ends episodes in failure, stays if episodes with it succeed more often than
+    those without it: in a hard task most runs of primitive actions fail, too.
     """
     n = len(endings)
     if n < MIN_RUNS:
@@ -70,7 +72,7 @@ def verdict(endings: Sequence[Ending], episodes: Iterable[Episode], min_reached:
         return "goes in circles"
     if fewer(n - endings.count("failed"), n, min_reached):
         return None if helps(episodes) else "ends in failure"
-    if fewer(endings.count("subgoal"), n, NEVER * min_reached):
+    if nowhere or fewer(endings.count("subgoal"), n, NEVER * min_reached):
         return None if helps(episodes) else "does not arrive"
     return None
 
@@ -160,7 +162,8 @@ class Usefulness:
             whole = (
                 verdict(record.last, record.episodes, self.settings.min_reached) if len(record.last) == WINDOW else None
             )
-            why = verdict(record.endings, record.episodes, self.settings.min_reached)
+            nowhere = bool(lost.any() and lost.all())
+            why = verdict(record.endings, record.episodes, self.settings.min_reached, nowhere=nowhere)
             if whole == "does not arrive":  # and it is no use to lose more states
                 yield slot, whole
             elif lost.any() and not lost.all():
@@ -236,7 +239,10 @@ class Usefulness:
         passed[runs, nearest] = True
         arrived = np.array([why == "subgoal" for _, why in record.judged])
         passes = passed.sum(axis=0)
-        too_few = fewer(passed[arrived].sum(axis=0), passes, self.settings.min_reached)
+        arrivals, least = passed[arrived].sum(axis=0), self.settings.min_reached
+        too_few = fewer(arrivals, passes, least)
+        if len(arrived) >= MIN_RUNS and fewer(arrived.sum(), len(arrived), least):
+            too_few = arrivals < least * passes
         result: BoolArray = too_few & (passes >= MIN_PASSES)
         return result
 
