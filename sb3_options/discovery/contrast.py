@@ -62,16 +62,14 @@ class Contrast:
         if new := [t for t in trajectories if t not in self._visits]:
             self._visits |= zip(new, _visits_of(new, self.group, self._numbers), strict=True)
         self._visits = {t: self._visits[t] for t in trajectories}
-        visits = list(self._visits.values())
-        success = np.array([t.success for t in trajectories], dtype=bool)
-        states = np.concatenate([v.states for v in visits])
-        of_whom = np.repeat(np.arange(len(visits)), [len(v.states) for v in visits])
+        firsts, of_each, times, durations, succeeded = list(zip(*self._visits.values(), strict=True))[1:]
+        success, first, states = np.array(succeeded), np.array(firsts), np.concatenate(of_each)
+        of_whom = np.repeat(np.arange(len(success)), list(map(len, of_each)))
         weights = np.ones(len(states))
         if success.any():
-            durations = np.sort([len(t.trajectory) for t in trajectories if t.success])
-            late = np.searchsorted(durations, np.concatenate([v.times for v in visits])) / len(durations)
+            lasted = np.sort(np.array(durations)[success])
+            late = np.searchsorted(lasted, np.concatenate(times)) / len(lasted)
             weights = np.where(success[of_whom], 1.0, 1.0 - late)
-        first = np.array([v.numbers[0] for v in visits])
         began = np.flatnonzero(first >= 0)
         present = np.bincount(states) > 0  # up to the highest number that is present
         near = self._neighbours(present)
@@ -79,7 +77,7 @@ class Contrast:
         begun = _reached(first[began], began, np.ones(len(began)), success, near)
         shares = (reached + 1.0) / (np.bincount(success, minlength=2)[:, None] + 2.0)
         values = shares[1] - shares[0]
-        values[begun.sum(axis=0) / len(visits) > MAX_START_SHARE] = NO_PLACE
+        values[begun.sum(axis=0) / len(success) > MAX_START_SHARE] = NO_PLACE
         values[~present] = ABSENT
         self._values = np.append(values, NO_PLACE)
 
@@ -142,13 +140,19 @@ class _Visits(NamedTuple):
 
     Attributes:
         numbers: Of each of its states, (m,); -1 for what is no place.
+        first: That of the first one.
         states: The distinct numbers of places.
         times: When it first came to each of these.
+        duration: Of the trajectory, in steps.
+        success: Whether it succeeded.
     """
 
     numbers: IntArray
+    first: int
     states: IntArray
     times: IntArray
+    duration: int
+    success: bool
 
 
 def _visits_of(
@@ -168,5 +172,6 @@ def _visits_of(
     whose, states = np.divmod(pairs, len(numbers))
     times = came[places[first]]
     bounds = np.searchsorted(whose, np.arange(len(ends) + 1)).tolist()
-    for start, end, low, high in zip([0, *ends], ends, bounds, bounds[1:], strict=False):
-        yield _Visits(every[start:end], states[low:high], times[low:high])
+    for t, start, end, low, high in zip(trajectories, [0, *ends], ends, bounds, bounds[1:], strict=False):
+        numbers_of = every[start:end]
+        yield _Visits(numbers_of, int(numbers_of[0]), states[low:high], times[low:high], len(t.trajectory), t.success)
