@@ -75,11 +75,14 @@ class BagMaker:
         known = [self._known[t] for t in positive]
         left = self._standing_out(known)
         left["spacing"] = left[list(left)[-1]] & np.concatenate([k.far for k in known])
+        sizes = [len(k.rows) for k in known]
+        whose = np.repeat(np.arange(len(known)), sizes)
         for self.emptied_by, keep in left.items():
-            kept = np.split(keep, np.cumsum([len(k.rows) for k in known])[:-1])
-            positive_bags = [k.states[own] for k, own in zip(known, kept, strict=True) if own.any()]
-            if len(positive_bags) < self.settings.min_positive:
+            some = np.unique(whose[keep]).tolist()
+            if len(some) < self.settings.min_positive:
                 return None
+        ends = np.cumsum(sizes).tolist()
+        positive_bags = [known[i].states[keep[ends[i] - sizes[i] : ends[i]]] for i in some]
         negative = [k.states[k.allowed & k.far] for t, k in self._known.items() if not t.success]
         return FilteredBags(positive_bags, [bag for bag in negative if len(bag)])
 
