@@ -62,14 +62,15 @@ class Contrast:
         if new := [t for t in trajectories if t not in self._visits]:
             self._visits |= zip(new, _visits_of(new, self.group, self._numbers), strict=True)
         self._visits = {t: self._visits[t] for t in trajectories}
-        firsts, of_each, times, durations, succeeded = list(zip(*self._visits.values(), strict=True))[1:]
-        success, first, states = np.array(succeeded), np.array(firsts), np.concatenate(of_each)
+        numbers, of_each, times, durations, succeeded = zip(*self._visits.values(), strict=True)
+        success, states = np.array(succeeded), np.concatenate(of_each)
         of_whom = np.repeat(np.arange(len(success)), list(map(len, of_each)))
         weights = np.ones(len(states))
         if success.any():
             lasted = np.sort(np.array(durations)[success])
             late = np.searchsorted(lasted, np.concatenate(times)) / len(lasted)
             weights = np.where(success[of_whom], 1.0, 1.0 - late)
+        first = np.array([own[0] for own in numbers])
         began = np.flatnonzero(first >= 0)
         present = np.bincount(states) > 0  # up to the highest number that is present
         near = self._neighbours(present)
@@ -140,7 +141,6 @@ class _Visits(NamedTuple):
 
     Attributes:
         numbers: Of each of its states, (m,); -1 for what is no place.
-        first: That of the first one.
         states: The distinct numbers of places.
         times: When it first came to each of these.
         duration: Of the trajectory, in steps.
@@ -148,7 +148,6 @@ class _Visits(NamedTuple):
     """
 
     numbers: IntArray
-    first: int
     states: IntArray
     times: IntArray
     duration: int
@@ -173,5 +172,4 @@ def _visits_of(
     times = came[places[first]]
     bounds = np.searchsorted(whose, np.arange(len(ends) + 1)).tolist()
     for t, start, end, low, high in zip(trajectories, [0, *ends], ends, bounds, bounds[1:], strict=False):
-        numbers_of = every[start:end]
-        yield _Visits(numbers_of, int(numbers_of[0]), states[low:high], times[low:high], len(t.trajectory), t.success)
+        yield _Visits(every[start:end], states[low:high], times[low:high], len(t.trajectory), t.success)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from sb3_options.experience.observations import FeatureMap, FloatArray, IntArray, Observations
-from sb3_options.state import restore, state_of, storable
+from sb3_options.state import restore, storable
 
 logger = logging.getLogger("sb3_options")
 
@@ -162,10 +162,6 @@ class TrajectoryDatabase:
         self._trajectories, self._n, self._n_bytes, self.n_successful = [], Counter(), Counter(), 0
         for each in every:
             self._append(each)
-
-    def get_state(self) -> dict[str, Any]:
-        """As `state_of`."""
-        return state_of(self)
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on with the state, and count what it holds."""

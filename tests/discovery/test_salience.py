@@ -11,6 +11,7 @@ from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.salience import LEAST_TRAJECTORIES, OutcomeDatabase, Salience
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.state import state_of
 from tests.checkpoints.test_tree import there_and_back
 
 # Features: door visible, door ahead, goal visible, noise.
@@ -124,7 +125,7 @@ def test_a_database_goes_on_with_its_state() -> None:
     database, other = (OutcomeDatabase(100, np.inf, Salience(GROUPS, 0.5, 3)) for _ in range(2))
     for each in lives:
         database.add(each)
-    other.set_state(there_and_back(database.get_state()))
+    other.set_state(there_and_back(state_of(database)))
     assert sum(each.whole is not None for each in other) == 6
     for both in (database, other):
         both.add(rare())
@@ -182,7 +183,7 @@ def test_trajectories_that_are_labelled_anew_stay_in_the_order_in_which_they_cam
     for i, each in enumerate(lives):
         if i == 30:  # a checkpoint lies between
             other = OutcomeDatabase(10, np.inf, Salience(GROUPS, 0.2, 3))
-            other.set_state(there_and_back(database.get_state()))
+            other.set_state(there_and_back(state_of(database)))
         database.add(each)
         if i >= 30:
             other.add(each)

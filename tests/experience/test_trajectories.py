@@ -8,6 +8,7 @@ import pytest
 
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.experience.trajectories import TrajectoryDatabase
+from sb3_options.state import state_of
 from tests.support.helpers import line
 
 
@@ -24,7 +25,7 @@ def test_the_database_counts_successes() -> None:
     database, again = TrajectoryDatabase(3), TrajectoryDatabase(3)
     for success in (True, False, True, True, False, False):
         database.add(replace(line([0, 1]), success=success))
-        again.set_state(database.get_state())
+        again.set_state(state_of(database))
         assert database.n_successful == again.n_successful == sum(each.success for each in database)
 
 
