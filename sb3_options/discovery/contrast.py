@@ -62,15 +62,15 @@ class Contrast:
         if new := [t for t in trajectories if t not in self._visits]:
             self._visits |= zip(new, _visits_of(new, self.group, self._numbers), strict=True)
         self._visits = {t: self._visits[t] for t in trajectories}
-        numbers, of_each, times, durations, succeeded = zip(*self._visits.values(), strict=True)
-        success, states = np.array(succeeded), np.concatenate(of_each)
+        _, firsts, of_each, durations, succeeded = zip(*self._visits.values(), strict=True)
+        success, first = np.array(succeeded), np.array(firsts)
+        states, times = np.ascontiguousarray(np.concatenate(of_each).T)
         of_whom = np.repeat(np.arange(len(success)), list(map(len, of_each)))
         weights = np.ones(len(states))
         if success.any():
             lasted = np.sort(np.array(durations)[success])
-            late = np.searchsorted(lasted, np.concatenate(times)) / len(lasted)
+            late = np.searchsorted(lasted, times) / len(lasted)
             weights = np.where(success[of_whom], 1.0, 1.0 - late)
-        first = np.array([own[0] for own in numbers])
         began = np.flatnonzero(first >= 0)
         present = np.bincount(states) > 0  # up to the highest number that is present
         near = self._neighbours(present)
@@ -141,15 +141,15 @@ class _Visits(NamedTuple):
 
     Attributes:
         numbers: Of each of its states, (m,); -1 for what is no place.
-        states: The distinct numbers of places.
-        times: When it first came to each of these.
+        first: That of the first one.
+        places: The distinct numbers of places, and when it first came to each of these, (k, 2).
         duration: Of the trajectory, in steps.
         success: Whether it succeeded.
     """
 
     numbers: IntArray
-    states: IntArray
-    times: IntArray
+    first: int
+    places: IntArray
     duration: int
     success: bool
 
@@ -169,7 +169,7 @@ def _visits_of(
     of_whom = np.searchsorted(ends, places, side="right")
     pairs, first = np.unique(of_whom * len(numbers) + every[places], return_index=True)  # states are in order of time
     whose, states = np.divmod(pairs, len(numbers))
-    times = came[places[first]]
+    visited = np.stack([states, came[places[first]]], axis=1)
     bounds = np.searchsorted(whose, np.arange(len(ends) + 1)).tolist()
     for t, start, end, low, high in zip(trajectories, [0, *ends], ends, bounds, bounds[1:], strict=False):
-        yield _Visits(every[start:end], states[low:high], times[low:high], len(t.trajectory), t.success)
+        yield _Visits(every[start:end], int(every[start]), visited[low:high], len(t.trajectory), t.success)

@@ -168,22 +168,21 @@ class Discovery:
         Returns:
             A new subgoal, which counts as taken from then on.
         """
-        began = time.process_time()
+        if not (len(self.database) and self.method.is_due(self.database)):
+            return None
+        affords = self.diary.affords()
+        if not (self.method.searches or self._knows_scale()):
+            return None
+        if not affords:
+            self._n_new = 0  # the method never gets what the budget does not afford
+            return None
+        began = time.process_time()  # it takes longer than to see that there is nothing to do
         subgoal = self._search()
         self.diary.seconds += time.process_time() - began
         return subgoal
 
     def _search(self) -> Region | None:
-        searches = self.method.searches
-        if not (len(self.database) and self.method.is_due(self.database)):
-            return None
-        affords = self.diary.affords()
-        if not (searches or self._knows_scale()):
-            return None
-        if not affords:
-            self._n_new = 0  # the method never gets what the budget does not afford
-            return None
-        if searches:
+        if self.method.searches:
             self._proposals = self._updated(self.experience([*self.database][-1]))
             return self._take()
         proposals: list[Region] = []
