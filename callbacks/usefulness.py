@@ -56,14 +56,12 @@ class Episode(NamedTuple):
     success: bool
 
 
-def verdict(
-    endings: Sequence[Ending], episodes: Iterable[Episode], min_reached: float, *, nowhere: bool = False
-) -> Verdict | None:
+def verdict(endings: Sequence[Ending], episodes: Iterable[Episode], min_reached: float) -> Verdict | None:
     """Why an option is to be closed, from its last runs and episodes; None if it stays.
 
-    An option whose runs go in circles until `max_duration` is closed. One that arrives from ``nowhere`` often enough,
-    that hardly ever arrives, or that mostly ends episodes in failure, stays if episodes with it succeed more often than
-    those without it: in a hard task most runs of primitive actions fail, too.
+    An option whose runs go in circles until `max_duration` is closed. One that hardly ever arrives, or that mostly ends
+    episodes in failure, stays if episodes with it succeed more often than those without it: in a hard task most runs of
+    primitive actions fail, too.
     """
     n = len(endings)
     if n < MIN_RUNS:
@@ -72,7 +70,7 @@ def verdict(
         return "goes in circles"
     if fewer(n - endings.count("failed"), n, min_reached):
         return None if helps(episodes) else "ends in failure"
-    if nowhere or fewer(endings.count("subgoal"), n, NEVER * min_reached):
+    if fewer(endings.count("subgoal"), n, NEVER * min_reached):
         return None if helps(episodes) else "does not arrive"
     return None
 
@@ -158,12 +156,12 @@ class Usefulness:
             if len(record.new) < RUNS_BETWEEN:
                 continue
             self._see(record, option, options.features_of)
-            lost = self._failing(record, option)
+            sure, likely = self._failing(record, option)
             whole = (
                 verdict(record.last, record.episodes, self.settings.min_reached) if len(record.last) == WINDOW else None
             )
-            nowhere = bool(lost.any() and lost.all())
-            why = verdict(record.endings, record.episodes, self.settings.min_reached, nowhere=nowhere)
+            why = verdict(record.endings, record.episodes, self.settings.min_reached)
+            lost = sure if why is not None else sure | likely
             if whole == "does not arrive":  # and it is no use to lose more states
                 yield slot, whole
             elif lost.any() and not lost.all():
@@ -173,6 +171,8 @@ class Usefulness:
                 yield slot, option.with_regions(option.subgoal, replace(region, points=region.points[~lost]))
             elif why is not None:
                 yield slot, why
+            elif likely.any() and not helps(record.episodes):  # from nowhere it arrives often enough
+                yield slot, "does not arrive"
 
     def learned_anew(self, slot: int, later: SubgoalOption) -> SubgoalOption | None:
         """An option that was learned anew, without the states that I has lost, unless π does something else there.
@@ -227,24 +227,24 @@ class Usefulness:
         record.judged.extend(zip(parts, endings, strict=True))
         record.new.clear()
 
-    def _failing(self, record: SlotRecord, option: SubgoalOption) -> BoolArray:
-        """Which centres of I are nearest to states from where too few runs arrive, (n,)."""
+    def _failing(self, record: SlotRecord, option: SubgoalOption) -> tuple[BoolArray, BoolArray]:
+        """Centres of I nearest to states from where too few runs arrive, (n,): surely; by the share, if all surely do.
+
+        Failures of an option may be spread over many states, too few at each to be sure.
+        """
         region: Region = option.initiation_set
         if not len(region.points):
-            return np.zeros(0, dtype=bool)
+            return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
         features = np.concatenate([states for states, _ in record.judged])
         nearest = cdist(features * region.scale, region.points * region.scale).argmin(axis=1)
         runs = np.repeat(np.arange(len(record.judged)), [len(states) for states, _ in record.judged])
         passed: BoolArray = np.zeros((len(record.judged), len(region.points)), dtype=bool)
         passed[runs, nearest] = True
         arrived = np.array([why == "subgoal" for _, why in record.judged])
-        passes = passed.sum(axis=0)
-        arrivals, least = passed[arrived].sum(axis=0), self.settings.min_reached
-        too_few = fewer(arrivals, passes, least)
-        if len(arrived) >= MIN_RUNS and fewer(arrived.sum(), len(arrived), least):
-            too_few = arrivals < least * passes
-        result: BoolArray = too_few & (passes >= MIN_PASSES)
-        return result
+        passes, arrivals, least = passed.sum(axis=0), passed[arrived].sum(axis=0), self.settings.min_reached
+        enough: BoolArray = passes >= MIN_PASSES
+        seldom = len(arrived) >= MIN_RUNS and fewer(arrived.sum(), len(arrived), least)
+        return enough & fewer(arrivals, passes, least), enough & seldom & (arrivals < least * passes)
 
 
 def _judged(options: OptionInstaller) -> list[tuple[int, SubgoalOption]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import filterfalse
 from typing import NamedTuple
 
 import numpy as np
@@ -59,18 +60,20 @@ class Contrast:
         """Count the visits of these trajectories, and of no others."""
         if len(self._numbers) > MAX_FORMER_STATES + 2 * self.n_states:
             self._forget()  # most are of trajectories that are gone
-        if new := [t for t in trajectories if t not in self._visits]:
+        if new := list(filterfalse(self._visits.__contains__, trajectories)):
             self._visits |= zip(new, _visits_of(new, self.group, self._numbers), strict=True)
-        self._visits = {t: self._visits[t] for t in trajectories}
-        _, firsts, of_each, durations, succeeded = zip(*self._visits.values(), strict=True)
+        visits = list(map(self._visits.__getitem__, trajectories))
+        if len(self._visits) > 2 * len(visits):
+            self._visits = dict(zip(trajectories, visits, strict=True))
+        _, firsts, of_each, durations, succeeded = zip(*visits, strict=True)
         success, first = np.array(succeeded), np.array(firsts)
         states, times = np.ascontiguousarray(np.concatenate(of_each).T)
         of_whom = np.repeat(np.arange(len(success)), list(map(len, of_each)))
         weights = np.ones(len(states))
         if success.any():
             lasted = np.sort(np.array(durations)[success])
-            late = np.searchsorted(lasted, times) / len(lasted)
-            weights = np.where(success[of_whom], 1.0, 1.0 - late)
+            late = np.searchsorted(lasted, np.arange(times.max(initial=0) + 1)) / len(lasted)
+            weights = np.where(success[of_whom], 1.0, 1.0 - late[times])
         began = np.flatnonzero(first >= 0)
         present = np.bincount(states) > 0  # up to the highest number that is present
         near = self._neighbours(present)
@@ -123,16 +126,17 @@ def _reached(
 
     Of the visits of a trajectory to the state and those near it, the one of most weight counts.
     """
+    cells = states + len(near) * success[of_whom]
+    totals: FloatArray = np.bincount(cells, weights, 2 * len(near)).astype(np.float64).reshape(2, -1)
+    if not (crowded := [state for state, others in enumerate(near) if len(others) > 1]):
+        return totals
     order = np.argsort(states, kind="stable")
     starts = np.searchsorted(states[order], np.arange(len(near) + 1))
-    totals: FloatArray = np.zeros((2, len(near)))
-    np.add.at(totals, (success[of_whom].astype(np.int64), states), weights)
-    for state, others in enumerate(near):
-        if len(others) > 1:
-            visits = np.concatenate([order[starts[other] : starts[other + 1]] for other in others])
-            most = np.zeros(len(success))
-            np.maximum.at(most, of_whom[visits], weights[visits])
-            totals[:, state] = most[~success].sum(), most[success].sum()
+    for state in crowded:
+        visits = np.concatenate([order[starts[other] : starts[other + 1]] for other in near[state]])
+        most = np.zeros(len(success))
+        np.maximum.at(most, of_whom[visits], weights[visits])
+        totals[:, state] = most[~success].sum(), most[success].sum()
     return totals
 
 

@@ -90,7 +90,7 @@ class TestGoesOn:
 
 
 def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(usefulness, "MIN_RUNS", 10)
+    monkeypatch.setattr(usefulness, "MIN_RUNS", 20)
     monkeypatch.setattr(usefulness, "RUNS_BETWEEN", 5)
     env = optioned_rooms()
     env.bank.add(to_the_doorway(Direction.RIGHT, (3, 2)))
