@@ -241,7 +241,9 @@ class Usefulness:
         passed: BoolArray = np.zeros((len(record.judged), len(region.points)), dtype=bool)
         passed[runs, nearest] = True
         arrived = np.array([why == "subgoal" for _, why in record.judged])
-        passes, arrivals, least = passed.sum(axis=0), passed[arrived].sum(axis=0), self.settings.min_reached
+        passes = passed.sum(axis=0)
+        arrivals = passed[arrived].sum(axis=0)
+        least = self.settings.min_reached
         enough: BoolArray = passes >= MIN_PASSES
         seldom = len(arrived) >= MIN_RUNS and fewer(arrived.sum(), len(arrived), least)
         return enough & fewer(arrivals, passes, least), enough & seldom & (arrivals < least * passes)

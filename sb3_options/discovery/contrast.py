@@ -66,7 +66,8 @@ class Contrast:
         if len(self._visits) > 2 * len(visits):
             self._visits = dict(zip(trajectories, visits, strict=True))
         _, firsts, of_each, durations, succeeded = zip(*visits, strict=True)
-        success, first = np.array(succeeded), np.array(firsts)
+        success = np.array(succeeded)
+        first = np.array(firsts)
         states, times = np.ascontiguousarray(np.concatenate(of_each).T)
         of_whom = np.repeat(np.arange(len(success)), list(map(len, of_each)))
         weights = np.ones(len(states))

@@ -159,7 +159,10 @@ class TrajectoryDatabase:
     def _replace(self, trajectories: Iterable[LabelledTrajectory]) -> None:
         """Hold these instead."""
         every = list(trajectories)
-        self._trajectories, self._n, self._n_bytes, self.n_successful = [], Counter(), Counter(), 0
+        self._trajectories = []
+        self._n.clear()
+        self._n_bytes.clear()
+        self.n_successful = 0
         for each in every:
             self._append(each)
 

@@ -90,6 +90,7 @@ class TestGoesOn:
 
 
 def test_an_option_whose_runs_go_on_for_ever_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    # After ten runs it is sure that none arrives, but not yet that most go in circles, for some leave I.
     monkeypatch.setattr(usefulness, "MIN_RUNS", 20)
     monkeypatch.setattr(usefulness, "RUNS_BETWEEN", 5)
     env = optioned_rooms()

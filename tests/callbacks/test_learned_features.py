@@ -137,7 +137,7 @@ def test_a_narrowed_initiation_set_keeps_its_observations() -> None:
     points = option.initiation_set.points
     narrowed = dataclasses.replace(option.initiation_set, points=points[:-1])
     *_, last = search.database
-    search.database._trajectories.clear()
+    search.database._replace([])
     search.database.add(LabelledTrajectory(last.trajectory, last.features + 1000.0, last.success))
     features.remember(found.slot, option.with_regions(option.subgoal, narrowed), search)
     _, observations, known = features._anchors[found.slot]
