@@ -8,10 +8,15 @@ os.environ["OMP_NUM_THREADS"] = "1"
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.support import processes
 
 processes.share_libraries()
+
+# How fast the machine is decides nothing.
+settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any speed")
 
 
 def pytest_collection_finish() -> None:

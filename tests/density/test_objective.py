@@ -192,7 +192,7 @@ SOME_BAGS = st.lists(arrays(np.float64, st.tuples(st.integers(1, 5), st.just(2))
 
 
 @given(positive=SOME_BAGS, negative=SOME_BAGS, point=st.tuples(FEATURE, FEATURE), offset=FEATURE)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_order_and_origin_change_nothing(
     positive: list[FloatArray], negative: list[FloatArray], point: tuple[float, float], offset: float
 ) -> None:

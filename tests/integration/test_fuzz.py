@@ -43,7 +43,7 @@ def test_arguments_of_every_kind(name: str) -> None:
     make, of, needed = MADE[name]
     names = [n for n in inspect.signature(of).parameters if n not in ("env", "options_file")]
 
-    @settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=150, derandomize=True, suppress_health_check=list(HealthCheck))
     @given(st.dictionaries(st.sampled_from(names), VALUES, min_size=1, max_size=2))
     def check(kwargs: dict[str, Any]) -> None:
         try:
@@ -56,7 +56,7 @@ def test_arguments_of_every_kind(name: str) -> None:
     check()
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(bags(MAGNITUDES), bags(MAGNITUDES), SCALES)
 def test_bags_of_every_size(positive: Any, negative: Any, scale: float) -> None:
     found: Found = []

@@ -63,16 +63,15 @@ def filled(algorithm: type[OffPolicyAlgorithm], task: Task, macro_q: bool, monke
         torch.nn.init.uniform_(layer.weight, -1, 1)
         torch.nn.init.uniform_(layer.bias, -1, 1)
         with torch.no_grad():
-            layer.bias.view(-1, N_ACTIONS)[:, N_PRIMITIVE:] += torch.tensor(
-                [0.5, 1.5, 1.5]
-            )  # so that what is available often matters
+            often = layer.bias.new_tensor([0.5, 1.5, 1.5])  # so that what is available matters
+            layer.bias.view(-1, N_ACTIONS)[:, N_PRIMITIVE:] += often
     return model
 
 
 def tables(model: Any) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """What the online and the target network give in each state, in float64, (states, outputs)."""
     layers = [layer for layer, _ in heads.option_outputs(model.policy)]
-    both = [(layer.weight.detach().double().T + layer.bias.detach().double()).numpy() for layer in layers]
+    both = [(layer.weight.detach().double().T + layer.bias.detach().double()).cpu().numpy() for layer in layers]
     return both[0], both[1]
 
 
@@ -85,7 +84,7 @@ def train_on_all_rows(
     stock = getattr(module, name)
 
     def spy(predicted: torch.Tensor, target: torch.Tensor, *args: Any, **kwargs: Any) -> torch.Tensor:
-        handed.append([predicted.detach().double().numpy(), target.detach().double().numpy()])
+        handed.append([predicted.detach().double().cpu().numpy(), target.detach().double().cpu().numpy()])
         return cast("torch.Tensor", stock(predicted, target, *args, **kwargs))
 
     buffer = model.replay_buffer

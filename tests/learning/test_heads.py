@@ -37,7 +37,7 @@ def observations(n: int = 1000) -> torch.Tensor:
 @torch.no_grad()
 def outputs(model: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """Of the online and the target network, (batch, outputs an action, actions)."""
-    seen, name = observations(), "quantile_net" if isinstance(model, QRDQN) else "q_net"
+    seen, name = observations().to(model.device), "quantile_net" if isinstance(model, QRDQN) else "q_net"
     networks = getattr(model.policy, name), getattr(model.policy, f"{name}_target")
     both = [network(seen).reshape(len(seen), -1, N_ACTIONS) for network in networks]
     return both[0], both[1]

@@ -50,7 +50,7 @@ class OneRollout(BaseCallback):
         compute = buffer.compute_returns_and_advantage
 
         def spy(last_values: torch.Tensor, dones: Any) -> None:
-            self.last_values = last_values.numpy().reshape(-1).copy()
+            self.last_values = last_values.cpu().numpy().reshape(-1).copy()
             compute(last_values, dones)
             self.buffer, self.n_steps = copy.deepcopy(buffer), self.num_timesteps
 
@@ -62,7 +62,7 @@ class OneRollout(BaseCallback):
         infos = self.locals["infos"]
         kept = {
             "rewards": self.locals["rewards"].copy(),
-            "values": self.locals["values"].numpy().reshape(-1),
+            "values": self.locals["values"].cpu().numpy().reshape(-1),
             "dones": self.locals["dones"].copy(),
             "durations": [info["option"]["duration"] for info in infos],
             "timeout_values": [self._value_after_timeout(i, info) for i, info in enumerate(infos)],
@@ -79,7 +79,7 @@ class OneRollout(BaseCallback):
             if "lstm_states" not in self.locals:
                 return float(policy.predict_values(observation))
             state = tuple(part[:, i : i + 1].contiguous() for part in self.locals["lstm_states"].vf)
-            return float(policy.predict_values(observation, state, torch.zeros(1)))
+            return float(policy.predict_values(observation, state, torch.zeros(1, device=policy.device)))
 
 
 def oracle(steps: list[dict[str, Any]], last_values: Any, env: int) -> list[Fraction]:
@@ -247,7 +247,7 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     for parameter in model.policy.action_net.parameters():
         parameter.data.zero_()
     OptionInstaller(model, env_of(model), None, max_option_exploration=share)
-    observation = torch.zeros((1, 2))
+    observation = torch.zeros((1, 2), device=model.device)
     masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
     probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
     last = share / (1.0 - share) / n_present  # odds of the option that came last against the primitives together
@@ -273,7 +273,8 @@ def test_options_share_the_opening_odds_with_those_available_in_the_same_states(
     for parameter in model.policy.action_net.parameters():
         parameter.data.zero_()
     OptionInstaller(model, env_of(model), None, max_option_exploration=0.75)
-    probabilities = model.policy.get_distribution(torch.zeros((1, 2))).distribution.probs[0].detach()
+    observation = torch.zeros((1, 2), device=model.device)
+    probabilities = model.policy.get_distribution(observation).distribution.probs[0].detach()
     assert float(probabilities[2 + slot] / probabilities[:2].sum()) == pytest.approx(odds, rel=1e-5)
 
 

@@ -47,7 +47,7 @@ class TestDamage:
         with pytest.raises(FileNotFoundError, match=r"No such file or directory: .+nowhere"):
             empty_bank().load(tmp_path / "nowhere")
 
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=300)
     @given(data=st.data())
     def test_corrupted_anywhere(self, content: bytes, folder: Path, data: st.DataObject) -> None:
         """A changed byte is noticed, unless it changes nothing that the file says."""

@@ -96,7 +96,7 @@ def test_starts_are_drawn_uniformly() -> None:
     assert columns.count(4) == 0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_never_stands_on_a_wall(data: st.DataObject) -> None:
     width, height = data.draw(st.integers(2, 6)), data.draw(st.integers(1, 6))
