@@ -1,7 +1,7 @@
 """Types of arrays, and rows as keys."""
 
 from hashlib import blake2b
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,9 @@ LONGEST_KEY = 64
 """Bytes of a key that is kept as it is."""
 
 
-def row_keys(rows: FloatArray) -> list[bytes]:
+def row_keys(rows: NDArray[Any]) -> list[bytes]:
     """The bytes of each row (n, d), d ≥ 1, which equal rows share: adding 0 makes -0 a 0."""
-    rows = np.ascontiguousarray(rows + 0.0)
+    rows = np.ascontiguousarray(rows + 0.0 if rows.dtype.kind == "f" else rows)
     return rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel().tolist()
 
 

@@ -77,14 +77,6 @@ def key_of(observation: Any) -> bytes:
     return np.asarray(observation).tobytes()
 
 
-def value_key_of(observation: Any) -> bytes:
-    """A key that two observations of one space share exactly if their values are equal: adding 0 makes -0.0 a 0.0."""
-    if isinstance(observation, Mapping):
-        return b"".join(value_key_of(observation[k]) for k in sorted(observation))
-    array = np.asarray(observation)
-    return (array + 0.0).tobytes() if array.dtype.kind == "f" else array.tobytes()
-
-
 def flatten(observations: Observations) -> FloatArray:
     """Every observation as one row of float64: shape (batch, total size), keys in sorted order."""
     if isinstance(observations, Mapping):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+from sb3_options.density.arrays import row_keys
 from sb3_options.density.regions import Region
 from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
@@ -84,17 +86,26 @@ def transitions_to(
         times, rewards, ends = _steps(labelled, subgoal, initiation, settings.leave_reward)
         began, led = trajectory.visits[times], trajectory.visits[times + 1]
         seen = initiation.own(labelled.features) if settings.policy_input == "features" else trajectory.states
+        which = np.unique(np.concatenate([began, led]))
+        n_known = len(row_of)
+        keys = value_keys(obs_batch.take(seen, which))
+        rows = np.array([row_of.setdefault(key, len(row_of)) for key in keys], dtype=np.int64)
+        met, first = np.unique(rows, return_index=True)
+        states.append(obs_batch.take(seen, which[first[met >= n_known]]))
         shared_row = np.zeros(len(labelled.features), dtype=np.int64)
-        for local in np.unique(np.concatenate([began, led])):
-            state = obs_batch.take(seen, slice(local, local + 1))
-            row = shared_row[local] = row_of.setdefault(obs_batch.value_key_of(state), len(row_of))
-            if row == len(states):
-                states.append(state)
+        shared_row[which] = rows
         columns.append((shared_row[began], trajectory.actions[times], rewards, shared_row[led], ends))
-    if not states:
+    if not row_of:
         return None
     began, actions, rewards, led, ends = (np.concatenate(column) for column in zip(*columns, strict=True))
     return Transitions(obs_batch.concatenate(states), began, actions, rewards, led, ends)
+
+
+def value_keys(observations: Observations) -> list[bytes]:
+    """A key of each observation, which two of one space share exactly if their values are equal."""
+    if isinstance(observations, Mapping):
+        return list(map(b"".join, zip(*(value_keys(observations[k]) for k in sorted(observations)), strict=True)))
+    return row_keys(observations.reshape(len(observations), math.prod(observations.shape[1:])))
 
 
 def _steps(

@@ -15,7 +15,6 @@ from sb3_options.experience.observations import (
     key_of,
     stack,
     take,
-    value_key_of,
 )
 
 ARRAYS = [np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]]), np.array([[5.0, 6.0]])]
@@ -68,11 +67,3 @@ def test_a_copy_does_not_change_with_the_original(kind: Any) -> None:
     copied, copied_dict = copy_of(array), copy_of(kind({"a": array}))
     array[:] = 0.0
     assert copied.tolist() == copied_dict["a"].tolist() == [1.0, 2.0]
-
-
-@pytest.mark.parametrize("of", [np.array, lambda x: {"x": np.array(x)}])
-def test_value_keys_are_equal_exactly_if_values_are(of: Any) -> None:
-    zero, minus_zero, one = of([0.0, 1.0]), of([-0.0, 1.0]), of([1.0, 1.0])
-    assert key_of(zero) != key_of(minus_zero)
-    assert value_key_of(zero) == value_key_of(minus_zero) != value_key_of(one)
-    assert value_key_of(np.array([1], np.uint8)) != value_key_of(np.array([2], np.uint8))

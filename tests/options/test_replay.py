@@ -13,7 +13,7 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import transitions_to
+from sb3_options.options.tasks import transitions_to, value_keys
 from tests.options.corridor import DOOR, LEFT, RIGHT, generator, known_values, walk
 from tests.support.helpers import ball, labelled, line, trajectory_of
 
@@ -155,3 +155,11 @@ class TestNetwork:
         assert steps is not None
         first, second = (replay_into_network(steps, 2, gamma=0.9, updates=1, generator=generator(s)) for s in (0, 1))
         assert not np.array_equal(first.weights[0], second.weights[0])
+
+
+@pytest.mark.parametrize("of", [np.array, lambda x: {"x": np.array(x), "y": np.zeros(len(x), np.int64)}])
+def test_value_keys_are_equal_exactly_if_values_are(of: Any) -> None:
+    zero, minus_zero, one = value_keys(of([[0.0, 1.0], [-0.0, 1.0], [1.0, 1.0]]))
+    assert zero == minus_zero != one
+    of_bytes = value_keys(of(np.array([[[1]], [[2]], [[1]]], np.uint8)))
+    assert of_bytes[0] == of_bytes[2] != of_bytes[1]
