@@ -62,6 +62,7 @@ def _kinds() -> npt.NDArray[np.int8]:
 
 _KIND_OF = _kinds()
 _WALKABLE = np.isin(np.arange(256), (*FREE, GOAL))
+_COLOURED = np.isin(np.arange(256), COLOURED)
 
 
 def retina(
@@ -154,7 +155,7 @@ def _sight(view: int) -> _Sight:
 def _asked(objects: npt.NDArray[Any], colours: npt.NDArray[Any], asked: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     """Which cells hold what is asked for, (batch, k, cells)."""
     what, colour = asked[..., 0, None], asked[..., 1, None]
-    coloured = np.isin(objects, COLOURED)[:, None] & (colours[:, None] == colour)
+    coloured = _COLOURED[objects][:, None] & (colours[:, None] == colour)
     found: npt.NDArray[np.bool_] = coloured & ((what == 0) | (objects[:, None] == what))
     return found
 

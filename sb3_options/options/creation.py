@@ -16,7 +16,7 @@ from sb3_options.options.policies import OptionPolicy, TabularPolicy
 from sb3_options.options.reach import reliable_part
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import Transitions, initiation_set, transitions_to
+from sb3_options.options.tasks import Transitions, contained, initiation_set, transitions_to
 
 MIN_REACH = 0.5
 """On a group of features I keeps the states from where the saved steps promise to reach the subgoal so surely."""
@@ -114,7 +114,7 @@ class OptionGrowth:
 
     def made(self, slot: int, subgoal: Region, trajectories: Iterable[LabelledTrajectory]) -> None:
         """Count the ``trajectories`` that the option in ``slot`` was made from."""
-        self._reached[slot] = self._learned_from[slot] = sum(_reaches(subgoal, t) for t in trajectories)
+        self._reached[slot] = self._learned_from[slot] = sum(map(np.any, contained(subgoal, [*trajectories])))
 
     def adopted(self, slot: int) -> None:
         """Count from now on for an option that was made elsewhere."""
@@ -133,12 +133,8 @@ class OptionGrowth:
         """
         if slot not in self._reached:
             return False
-        self._reached[slot] += _reaches(subgoal, trajectory)
+        self._reached[slot] += bool(np.any(subgoal.contains(trajectory.features)))
         if self._reached[slot] < 2 * self._learned_from[slot]:
             return False
         self._learned_from[slot] = self._reached[slot]
         return True
-
-
-def _reaches(subgoal: Region, trajectory: LabelledTrajectory) -> bool:
-    return bool(np.any(subgoal.contains(trajectory.features)))

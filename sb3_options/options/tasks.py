@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,12 +12,15 @@ from sb3_options.density.arrays import row_keys
 from sb3_options.density.regions import Region
 from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
-from sb3_options.experience.trajectories import LabelledTrajectory
+from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.settings import OptionLearningSettings
 
 STEP_REWARD, SUBGOAL_REWARD = -1.0, 0.0
 """Rewards of a step that goes on and of one that reaches the subgoal: the value of a state is minus the number of steps
 from there, as in a shortest path (Sutton & Barto 2018, example 4.1)."""
+
+AT_ONCE = 2048
+"""States of which it is asked at once whether a region contains them: memory is bounded by this times its points."""
 
 
 class Transitions(NamedTuple):
@@ -50,9 +53,9 @@ def initiation_set(
     """
     trajectories = list(trajectories)
     points: list[FloatArray] = [t.features[:0] for t in trajectories[:1]] or [subgoal.points[:0]]
-    for labelled in trajectories:
+    for labelled, reached in zip(trajectories, contained(subgoal, trajectories), strict=True):
         visits = labelled.trajectory.visits
-        times = np.flatnonzero(subgoal.contains(labelled.features)[visits])[:1]  # a later one may be from behind
+        times = np.flatnonzero(reached[visits])[:1]  # a later one may be from behind
         before = np.unique(
             [row for t in times for row in visits[max(0, t - settings.initiation_steps) : t]],
         ).astype(np.int64)
@@ -78,24 +81,27 @@ def transitions_to(
     Reaching the subgoal ends the task with `SUBGOAL_REWARD`. Leaving I ends it with ``leave_reward``, and so does a
     terminal state.
     """
+    trajectories = list(trajectories)
     row_of: dict[bytes, int] = {}
     states: list[Observations] = []
     columns: list[tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]] = []
-    for labelled in trajectories:
+    both = zip(contained(subgoal, trajectories), contained(initiation, trajectories), strict=True)
+    for labelled, (reached, within) in zip(trajectories, both, strict=True):
         trajectory = labelled.trajectory
-        times, rewards, ends = _steps(labelled, subgoal, initiation, settings.leave_reward)
+        times, rewards, ends = _steps(trajectory, reached, within & ~reached, settings.leave_reward)
+        if not len(times):
+            continue
         began, led = trajectory.visits[times], trajectory.visits[times + 1]
         seen = initiation.own(labelled.features) if settings.policy_input == "features" else trajectory.states
-        which = np.unique(np.concatenate([began, led]))
-        n_known = len(row_of)
-        keys = value_keys(obs_batch.take(seen, which))
-        rows = np.array([row_of.setdefault(key, len(row_of)) for key in keys], dtype=np.int64)
-        met, first = np.unique(rows, return_index=True)
-        states.append(obs_batch.take(seen, which[first[met >= n_known]]))
-        shared_row = np.zeros(len(labelled.features), dtype=np.int64)
-        shared_row[which] = rows
-        columns.append((shared_row[began], trajectory.actions[times], rewards, shared_row[led], ends))
-    if not row_of:
+        row = np.full(len(labelled.features), -1)
+        row[began] = row[led] = 0
+        which = np.flatnonzero(row == 0)
+        last_known = len(row_of) - 1
+        row[which] = [row_of.setdefault(k, len(row_of)) for k in value_keys(obs_batch.take(seen, which))]
+        newest = np.maximum.accumulate([last_known, *row[which]])
+        states.append(obs_batch.take(seen, which[np.diff(newest) > 0]))
+        columns.append((row[began], trajectory.actions[times], rewards, row[led], ends))
+    if not states:
         return None
     began, actions, rewards, led, ends = (np.concatenate(column) for column in zip(*columns, strict=True))
     return Transitions(obs_batch.concatenate(states), began, actions, rewards, led, ends)
@@ -108,13 +114,22 @@ def value_keys(observations: Observations) -> list[bytes]:
     return row_keys(observations.reshape(len(observations), math.prod(observations.shape[1:])))
 
 
+def contained(region: Region, trajectories: Sequence[LabelledTrajectory]) -> list[BoolArray]:
+    """Whether the region contains each distinct state of each trajectory, (m,) each. Many are short: few calls."""
+    ends = np.cumsum([0, *(len(each.features) for each in trajectories)])
+    parts: list[BoolArray] = []
+    while len(parts) < len(trajectories):
+        begin = len(parts)
+        end = max(int(np.searchsorted(ends, ends[begin] + AT_ONCE, side="right")) - 1, begin + 1)
+        features = np.concatenate([each.features for each in trajectories[begin:end]])
+        parts += np.split(region.contains(features), ends[begin + 1 : end] - ends[begin])
+    return parts
+
+
 def _steps(
-    labelled: LabelledTrajectory, subgoal: Region, initiation: Region, leave_reward: float
+    trajectory: Trajectory, reached: BoolArray, inside: BoolArray, leave_reward: float
 ) -> tuple[IntArray, FloatArray, BoolArray]:
     """When each step of a trajectory began that belongs to the task, its reward, and whether it ends it, (k,) each."""
-    trajectory = labelled.trajectory
-    reached = subgoal.contains(labelled.features)
-    inside = initiation.contains(labelled.features) & ~reached
     began, led = trajectory.visits[:-1], trajectory.visits[1:]
     times = np.flatnonzero(inside[began])
     goes_on = inside[led]
