@@ -151,7 +151,8 @@ def train(
         options: To begin with, in which case none are discovered.
 
     Returns:
-        The callback, and ``steps`` of the first of these evaluations, None if there was none; how many runs of options
+        The callback, and ``steps`` of the first of these evaluations, None if there was none; those of the first two
+        ``successes`` in training; how many runs of options
         were ``decided`` and ``reached`` their subgoal; ``seconds`` of training, without evaluations, and ``discovery``,
         what of them was discovery, in processor time.
     """
@@ -171,6 +172,7 @@ def train(
     ends = Counter({end: use.endings[end] for end in DECIDED})
     return discovery, {
         "steps": reached_at([at for at, _, _ in evaluations.points], [good for _, good, _ in evaluations.points]),
+        "successes": [episode.timestep for episode in discovery.history if episode.success][:2],
         "trained": model.num_timesteps,
         "decided": ends.total(),
         "reached": ends["subgoal"],

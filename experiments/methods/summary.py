@@ -36,10 +36,11 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
 
     Returns:
         By entrant: ``n_runs``; ``found``, subgoals a run; ``near``, the share of them at a bottleneck; ``reached``, the
-        share of option runs that reach their subgoal; ``same`` and ``moved``, each with ``steps`` to the criterion
-        (interquartile mean), ``never``, how many runs did not meet it, ``of_primitives``, the ratio to the steps of
-        `NONE`, and likewise the other `RIVALS`; ``discovery_seconds`` and ``discovery_share`` of training
-        in the same task, in processor time. Each with its 95 % interval; None where there is nothing to estimate.
+        share of option runs that reach their subgoal; ``same`` and ``moved``, each with ``steps`` to the criterion and
+        to the ``first_success`` (interquartile means), ``never``, how many runs did not meet the criterion,
+        ``of_primitives``, the ratio to the steps of `NONE`, and the ratios to the other `RIVALS`;
+        ``discovery_seconds`` and ``discovery_share`` of training in the same task, in processor time. Each with its 95
+        % interval; None where there is nothing to estimate.
     """
     steps = {
         entrant: {phase: np.array([steps_of(run[phase], n_timesteps) for run in of]) for phase in PHASES}
@@ -65,6 +66,7 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
             taken = steps[entrant][phase]
             summary[entrant][phase] = {
                 "steps": iqm_interval(taken)._asdict(),
+                "first_success": _first_success([run[phase] for run in of], n_timesteps),
                 "never": sum(run[phase]["steps"] is None for run in of),
                 **{name: _ratio(steps, phase, entrant, rival) for name, rival in RIVALS.items()},
             }
@@ -139,6 +141,13 @@ def _ratio(
 def steps_of(trained: Result, n_timesteps: int) -> float:
     """Primitive steps to the criterion; the length of training where it was not met."""
     return float(n_timesteps if trained["steps"] is None else trained["steps"])
+
+
+def _first_success(trained: Sequence[Result], n_timesteps: int) -> dict[str, float] | None:
+    """Primitive steps to the first success in training; None of results from before these were noted."""
+    if not all("successes" in each for each in trained):
+        return None
+    return iqm_interval(_column(trained, lambda each: (each["successes"] or [n_timesteps])[0]))._asdict()
 
 
 def _both(run: Result, what: str) -> float:

@@ -1,0 +1,1 @@
+"""Tasks for which no setting was chosen: does discovery cost anything there?"""
