@@ -7,6 +7,7 @@ without discovery. It writes ``results.json``. Interrupted, it goes on where it 
 
 from __future__ import annotations
 
+import shlex
 import time
 from contextlib import closing
 from dataclasses import dataclass
@@ -110,14 +111,19 @@ def mean(values: list[float]) -> float | None:
 def main(study: Study) -> None:
     """Run the study, and write and print what it found."""
     parts = [
-        Part(f"{name}, {side}", partial(run, name, discovers=side == "on"), study.out / f"{name}-{side}")
+        Part(
+            f"{name}, {side}",
+            partial(run, name, discovers=side == "on"),
+            study.out / f"{name}-{side}",
+            vars(TASKS[name]),
+        )
         for name in study.tasks
         for side in ("on", "off")
     ]
-    settings = {"tasks": {name: vars(TASKS[name]) for name in study.tasks}}
-    results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
+    results = run_parts(parts, study.seeds(), settings={}, on=study, description="Training")
     summary = {name: compared(results[f"{name}, on"], results[f"{name}, off"]) for name in study.tasks}
     command = f"python -m experiments.never_worse --runs {study.runs} --first-seed {study.first_seed}"
+    command += "" if study.tasks == Study.tasks else f" --tasks {shlex.join(study.tasks)}"
     write(study.out, {"command": command, "summary": summary, "runs": results}, {})
     table = Table("task", "learned, on", "off", "with an option", *(f"{cost}, of off's" for cost in COSTS))
     for name, each in summary.items():

@@ -114,7 +114,8 @@ class OptionGrowth:
 
     def made(self, slot: int, subgoal: Region, trajectories: Iterable[LabelledTrajectory]) -> None:
         """Count the ``trajectories`` that the option in ``slot`` was made from."""
-        self._reached[slot] = self._learned_from[slot] = sum(map(np.any, contained(subgoal, [*trajectories])))
+        reached = sum(bool(states.any()) for states in contained(subgoal, [*trajectories]))
+        self._reached[slot] = self._learned_from[slot] = reached
 
     def adopted(self, slot: int) -> None:
         """Count from now on for an option that was made elsewhere."""
