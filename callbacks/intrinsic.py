@@ -126,7 +126,8 @@ class IntrinsicRewardCallback(BaseCallback):
         self._sums.append([_discounted(run, of_run) for run, of_run in zip(runs, bonuses, strict=True)])
         self.scale.update(bonuses)
         self._bonus_weight = self.weight / self.scale.std
-        self.logger.record_mean("intrinsic/bonus", self._bonus_weight * float(np.mean(np.concatenate(bonuses))))
+        if len(visited := np.concatenate(bonuses)):
+            self.logger.record_mean("intrinsic/bonus", self._bonus_weight * float(np.mean(visited)))
         self.logger.record("intrinsic/return_std", self.scale.std)
         for name, value in self.novelty.records().items():
             self.logger.record(f"intrinsic/{name}", value)
@@ -153,6 +154,9 @@ class IntrinsicRewardCallback(BaseCallback):
 
 def _arrived_in(run: OptionRun | None, last: Observations) -> Observations:
     """Where the primitive steps of a run led, the last of them to ``last``."""
+    if run is not None and run.duration == 0:  # it goes on, and what it passes is told when it ends
+        nothing: Observations = obs_batch.take(last, slice(0, 0))
+        return nothing
     if run is None or run.observations is None:
         return last
     return obs_batch.concatenate([obs_batch.take(run.observations, slice(1, None)), last])

@@ -41,7 +41,7 @@ def log_run(log: Logger, run: OptionRun) -> None:
     if run.inside:
         log.record_mean(f"{slot}/duration", run.duration, exclude="stdout")
         for ending in get_args(Termination):
-            if ending != "primitive":
+            if ending not in ("primitive", "running"):
                 log.record_mean(f"{slot}/ended_{ending}", float(run.termination == ending), exclude="stdout")
 
 

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from sb3_options.density.diverse_density import DiverseDensity
     from sb3_options.execution.concepts import ConceptsInObservation, WithoutConcepts
     from sb3_options.execution.demonstrations import record_demonstrations
+    from sb3_options.execution.options_vec_env import OptionsVecEnv
     from sb3_options.execution.wrapper import OptionsWrapper
     from sb3_options.experience.recording import logged_trajectory
     from sb3_options.learning.dqn import OptionDQN
@@ -31,6 +32,7 @@ __all__ = [
     "OptionDictRolloutBuffer",
     "OptionReplayBuffer",
     "OptionRolloutBuffer",
+    "OptionsVecEnv",
     "OptionsWrapper",
     "WithoutConcepts",
     "__version__",
@@ -50,6 +52,7 @@ _MODULES = {
     "ConceptsInObservation": "sb3_options.execution.concepts",
     "WithoutConcepts": "sb3_options.execution.concepts",
     "record_demonstrations": "sb3_options.execution.demonstrations",
+    "OptionsVecEnv": "sb3_options.execution.options_vec_env",
     "OptionsWrapper": "sb3_options.execution.wrapper",
     "logged_trajectory": "sb3_options.experience.recording",
     "OptionDQN": "sb3_options.learning.dqn",

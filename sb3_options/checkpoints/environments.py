@@ -103,7 +103,10 @@ def _wrapper_state(venv: VecEnvWrapper) -> State:
 
 def _check_supported(venv: VecEnv, *kinds: type[VecEnv]) -> None:
     if not isinstance(venv, kinds):
-        raise ValueError(f"Checkpoints of {type(venv).__name__} are not supported yet.")
+        raise ValueError(
+            f"Checkpoints of {type(venv).__name__} are not supported: it does not tell where its episodes are. Save "
+            "the model with Stable-Baselines3's CheckpointCallback, and load it with sb3_options.load_model."
+        )
 
 
 def _in_workers(venv: VecEnv, function: Callable[..., Any], *args: Any, indices: list[int] | None = None) -> list[Any]:

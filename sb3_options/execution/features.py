@@ -45,11 +45,18 @@ def _one_hot(numbers: IntArray, observations: Observations) -> FloatArray:
 
 
 def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) -> Features | None:
-    """The feature map to use for ``env``: the given one, else the environment's own, else one that fits its space.
+    """The feature map to use for ``env``, as `of_space` says."""
+    own = env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None
+    return of_space(env.observation_space, feature_map, own)
+
+
+def of_space(
+    space: gym.Space[Any], feature_map: FeatureMap | MapName | None, own: FeatureMap | None
+) -> Features | None:
+    """The feature map to use: the given one, else the environment's ``own``, else one that fits its space.
 
     None where there is no sensible default (``Dict`` and other composite spaces, images).
     """
-    space = env.observation_space
     if isinstance(feature_map, str) and feature_map == LEARNED:
         feature_map = LearnedMap(form_of(space))
     if isinstance(feature_map, LearnedMap):
@@ -62,8 +69,7 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) ->
             )
         size = _size_of(feature_map, space, "feature_map")
         return Features(feature_map, size, "given", _groups(getattr(feature_map, "concept_groups", None), size))
-    if env.has_wrapper_attr("concept_features"):
-        own: FeatureMap = env.get_wrapper_attr("concept_features")
+    if own is not None:
         # The wrapper that has φ: another one beneath may name groups of other features.
         owner = getattr(own, "__self__", None)
         _check_seen(owner, space)
@@ -135,6 +141,16 @@ def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int |
         # may raise anything then. The first observation of an episode tells the size.
         return None
     return checked_size(feature_map, sample, name)
+
+
+def computed(features: Features | None, observations: Observations, space: gym.Space[Any]) -> FloatArray:
+    """φ of a batch of observations of ``space``, shape (batch, d)."""
+    if features is None:
+        raise ValueError(
+            f"There is no default feature map for {space}: pass OptionsWrapper(env, feature_map=...) a function from a "
+            "batch of observations to features (batch, d), or 'temporal-distance', which is learned."
+        )
+    return features.map(observations)
 
 
 def checked_size(feature_map: FeatureMap, one: Observations, name: str = "feature_map") -> int:

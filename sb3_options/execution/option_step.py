@@ -7,12 +7,49 @@ from typing import Any, SupportsFloat, TypeAlias
 
 import numpy as np
 
-from sb3_options.experience.observations import BoolArray, Observations, batch_of_one, copy_of, stack
+from sb3_options.experience.observations import BoolArray, IntArray, Observations, batch_of_one, copy_of, stack
 from sb3_options.experience.option_run import OptionRun, Termination
 from sb3_options.options.option import Option
 
 StepReturn: TypeAlias = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 """What ``gymnasium.Env.step`` returns: observation, reward, terminated, truncated, info."""
+
+
+class RunUnderWay:
+    """An option that is running: the primitive steps it has taken."""
+
+    def __init__(self, slot: int, observation: Any, gamma: float, *, inside: bool) -> None:
+        self.slot = slot
+        self.gamma = gamma
+        self.inside = inside
+        self.observations = [copy_of(observation)]
+        self.actions: list[int] = []
+        self.rewards: list[float] = []
+        self.total = 0.0
+        self.discount = 1.0
+
+    def add(self, action: int, reward: SupportsFloat, observation: Any) -> None:
+        """Add a primitive step that led to ``observation``."""
+        self.observations.append(copy_of(observation))
+        self.actions.append(action)
+        self.rewards.append(float(reward))
+        self.total += self.discount * self.rewards[-1]
+        self.discount *= self.gamma
+
+    def ended(self, termination: Termination, available: BoolArray | None) -> OptionRun:
+        """The record of the run, with the slots that are ``available`` in the k observations arrived in."""
+        return OptionRun(
+            self.slot,
+            len(self.actions),
+            self.discount,
+            self.gamma,
+            termination,
+            stack(self.observations[:-1]),
+            np.array(self.actions),
+            np.array(self.rewards),
+            available,
+            self.inside,
+        )
 
 
 def run_option(
@@ -36,62 +73,52 @@ def run_option(
 
     Returns what the last step returned, with Σ γⁱ rᵢ in the place of its reward, and the record of the run.
     """
-    total, discount = 0.0, 1.0
-    observations: list[Any] = [copy_of(observation)]
-    actions: list[int] = []
-    rewards: list[float] = []
+    run = RunUnderWay(slot, observation, gamma, inside=inside)
     termination: Termination | None = None
-    action = primitive_of(option, observations[-1], n_primitive)
+    action = primitive_of(option, run.observations[-1], n_primitive)
     while termination is None:
         observation, reward, terminated, truncated, info = step(action)
-        observations.append(copy_of(observation))
-        actions.append(action)
-        rewards.append(float(reward))
-        total += discount * rewards[-1]
-        discount *= gamma
+        run.add(action, reward, observation)
         if terminated:
             termination = "terminated"
         elif truncated:
             termination = "truncated"
         else:
-            termination = _why_ended(option, observation, len(actions), random, inside=inside)
+            batch = batch_of_one(observation)
+            probability = float(option.termination(batch)[0])
+            goes_on = inside and bool(option.initiation(batch)[0])
+            termination = why_ended(len(run.actions), option.max_duration, probability, random, goes_on=goes_on)
         if termination is None:
-            action = primitive_of(option, observations[-1], n_primitive)
+            action = primitive_of(option, run.observations[-1], n_primitive)
             mask = legal()
             if mask is not None and not mask[action]:
                 termination = "left_initiation"
-    run = OptionRun(
-        slot,
-        len(actions),
-        discount,
-        gamma,
-        termination,
-        stack(observations[:-1]),
-        np.array(actions),
-        np.array(rewards),
-        None if available is None else available(stack(observations[1:])),
-        inside,
-    )
-    return (observation, total, terminated, truncated, info), run
+    led = None if available is None else available(stack(run.observations[1:]))
+    return (observation, run.total, terminated, truncated, info), run.ended(termination, led)
 
 
 def primitive_of(option: Option, observation: Any, n_primitive: int) -> int:
     """The primitive action that an option's policy takes."""
-    action = int(option.policy(batch_of_one(observation))[0])
-    if not 0 <= action < n_primitive:
-        raise ValueError(
-            f"The policy of option {option.name!r} chose {action}; primitive actions are 0 to {n_primitive - 1}."
-        )
-    return action
+    return int(primitives_of(option, batch_of_one(observation), n_primitive)[0])
 
 
-def _why_ended(
-    option: Option, observation: Any, duration: int, random: np.random.Generator, *, inside: bool
+def primitives_of(option: Option, observations: Observations, n_primitive: int) -> IntArray:
+    """The primitive actions that an option's policy takes, (batch,)."""
+    actions = option.policy(observations)
+    for action in actions.tolist():
+        if not 0 <= action < n_primitive:
+            raise ValueError(
+                f"The policy of option {option.name!r} chose {action}; primitive actions are 0 to {n_primitive - 1}."
+            )
+    return actions
+
+
+def why_ended(
+    duration: int, max_duration: int, probability: float, random: np.random.Generator, *, goes_on: bool
 ) -> Termination | None:
-    batch = batch_of_one(observation)
-    probability = float(option.termination(batch)[0])
+    """Why a run ends after so many steps, where β is ``probability``; None where it goes on, as it may within I."""
     if probability >= 1.0 or (probability > 0.0 and random.random() < probability):
         return "subgoal"
-    if not (inside and option.initiation(batch)[0]):
+    if not goes_on:
         return "left_initiation"
-    return "max_duration" if duration >= option.max_duration else None
+    return "max_duration" if duration >= max_duration else None

@@ -37,7 +37,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
             self.finished = []
         elif self.recorder is None or max_segment != self.max_segment:
             self.max_segment = max_segment
-            self.recorder = TrajectoryRecorder() if max_segment is None else SegmentRecorder(max_segment)
+            self.recorder = recorder_for(max_segment)
             self.finished = self.recorder.finished
             if observation is not None:
                 self.recorder.begin(observation)
@@ -78,6 +78,11 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         if terminated or truncated:
             self.recorder.end(terminated=terminated, truncated=truncated, is_success=success_in(info))
         return result
+
+
+def recorder_for(max_segment: int | None) -> TrajectoryRecorder:
+    """A recorder of segments, or of episodes without ``max_segment``."""
+    return TrajectoryRecorder() if max_segment is None else SegmentRecorder(max_segment)
 
 
 def record_episodes(env: gym.Env[Any, Any], act: Callable[[Any], Any], episodes: int, seed: int) -> list[Trajectory]:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy.typing as npt
 from gymnasium import spaces
 
+from sb3_options.checked import is_number, whole
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.execution.features import FeatureKind
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.execution import features as feature_maps
+from sb3_options.execution.features import FeatureKind, Features
+from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
 
 
@@ -52,3 +57,49 @@ class Traits(NamedTuple):
     feature_kind: FeatureKind | None  # None without a feature map
     feature_groups: tuple[FeatureGroup, ...]
     feature_size: int | None  # None without a feature map, or where only an observation tells
+
+
+def checked_primitives(whose: str, space: spaces.Space[Any], gamma: float, max_runs: int | None) -> int:
+    """The number of primitive actions, after checks of what options are executed with."""
+    if not isinstance(space, spaces.Discrete) or space.start != 0:
+        raise TypeError(
+            f"{whose} needs a Discrete action space that starts at 0, got {space}: discretise or number the actions "
+            "first, for instance by gymnasium.wrappers.TransformAction."
+        )
+    if not (is_number(gamma) and 0.0 < gamma <= 1.0):
+        raise ValueError(f"gamma must be in (0, 1], got {gamma!r}.")
+    if max_runs is not None and not whole(max_runs, 1):
+        raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs!r}.")
+    return int(space.n)
+
+
+def empty_bank(
+    space: spaces.Space[Any], n_primitive: int, max_options: int, features: Features | None, observation_size: int
+) -> OptionBank:
+    """Slots for options on observations of ``space``, which are flat rows of ``observation_size`` numbers."""
+    return OptionBank(
+        n_primitive,
+        max_options,
+        feature_map=features.map if features else None,
+        observation_size=observation_size,
+        feature_size=features.size if features else None,
+        signature=feature_maps.signature(space, features),
+    )
+
+
+def with_changes(
+    state: SlotState, bank: OptionBank, features: Features | None, changes: Mapping[str, Any]
+) -> SlotState:
+    """The state with some fields replaced, after ``bank`` and the learned map were changed with it."""
+    options: Mapping[int, Option | None] = changes.get("options", {})
+    later = dataclasses.replace(state, **changes)
+    for slot, option in options.items():
+        bank.check_slot(slot)
+        if option is not None:
+            bank.add(option, slot)
+        elif slot in bank.filled:
+            bank.remove(slot)
+    if changes.get("learned_map") is not None:
+        assert features is not None  # whoever learns a map has seen that there is one
+        cast("LearnedMap", features.map).load(changes["learned_map"])
+    return dataclasses.replace(later, options={**state.options, **options})

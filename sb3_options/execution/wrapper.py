@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import os
 from collections.abc import Callable
@@ -14,19 +13,16 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from stable_baselines3.common.monitor import Monitor
 
-from sb3_options.checked import is_number, whole
-from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, primitive_of, run_option
 from sb3_options.execution.recording import RecordTrajectories, record_episodes, refuse_own
-from sb3_options.execution.slots import SlotState, Traits
+from sb3_options.execution.slots import SlotState, Traits, checked_primitives, empty_bank, with_changes
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun, RunInfo
 from sb3_options.experience.trajectories import Trajectory
-from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
 
 logger = logging.getLogger("sb3_options")
@@ -108,30 +104,14 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             check_finite=check_finite,
         )
         gym.Wrapper.__init__(self, env)
-        primitive = env.action_space
-        if not isinstance(primitive, spaces.Discrete) or primitive.start != 0:
-            raise TypeError(
-                f"OptionsWrapper needs a Discrete action space that starts at 0, got {primitive}: discretise or number "
-                "the actions first, for instance by gymnasium.wrappers.TransformAction."
-            )
-        if not (is_number(gamma) and 0.0 < gamma <= 1.0):
-            raise ValueError(f"gamma must be in (0, 1], got {gamma!r}.")
-        if max_runs is not None and not whole(max_runs, 1):
-            raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs!r}.")
+        self.n_primitive = checked_primitives("OptionsWrapper", env.action_space, gamma, max_runs)
         self.gamma = float(gamma)
         self.max_runs = max_runs
         self.check_finite = check_finite
-        self.n_primitive = int(primitive.n)
-        observation_size = feature_maps.flat_size(env.observation_space)
+        space = env.observation_space
+        observation_size = feature_maps.flat_size(space)
         self.features = feature_maps.resolve(env, feature_map)
-        self.bank = OptionBank(
-            self.n_primitive,
-            max_options,
-            feature_map=self.features.map if self.features else None,
-            observation_size=observation_size,
-            feature_size=self.features.size if self.features else None,
-            signature=feature_maps.signature(env.observation_space, self.features),
-        )
+        self.bank = empty_bank(space, self.n_primitive, max_options, self.features, observation_size)
         if options_file is not None:
             self.bank.load(options_file)
         self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
@@ -170,22 +150,13 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
     def set_slots(self, **changes: Any) -> None:
         """Replace fields of this environment's `SlotState`; ``options`` are added to those that it names."""
-        state = dataclasses.replace(self.slot_state, **changes)
+        self.slot_state = with_changes(self.slot_state, self.bank, self.features, changes)
         for slot, option in changes.get("options", {}).items():
-            self.bank.check_slot(slot)
-            if option is not None:
-                self.bank.add(option, slot)
-                continue
-            if slot in self.bank.filled:
-                self.bank.remove(slot)
-            self._runs[slot] = 0  # the next one begins to count anew; one that has grown does not
-        if changes.get("learned_map") is not None:
-            assert self.features is not None  # whoever learns a map has seen that there is one
-            cast("LearnedMap", self.features.map).load(changes["learned_map"])
-        self.slot_state = dataclasses.replace(state, options={**self.slot_state.options, **changes.get("options", {})})
+            if option is None:
+                self._runs[slot] = 0  # the next one begins to count anew; one that has grown does not
         if "record" in changes:
             self._record()
-        if state.primitive_monitor:
+        if self.slot_state.primitive_monitor:
             count_primitive_steps(self.outermost, self)
 
     def set_option(self, slot: int, option: Option | None) -> None:
@@ -213,13 +184,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
     def concept_features(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, shape (batch, d)."""
-        if self.features is None:
-            raise ValueError(
-                f"There is no default feature map for {self.observation_space}: pass "
-                "OptionsWrapper(env, feature_map=...) a function from a batch of observations to features (batch, d), "
-                "or 'temporal-distance', which is learned."
-            )
-        return self.features.map(observations)
+        return feature_maps.computed(self.features, observations, self.observation_space)
 
     def available(self, observations: Observations) -> BoolArray:
         """Which augmented actions may start by initiation sets alone, shape (batch, n_primitive + max_options)."""

@@ -47,12 +47,19 @@ def stack(observations: list[Any]) -> Observations:
     """A list of single observations → one batch, in the same order."""
     if isinstance(observations[0], Mapping):
         return {key: np.stack([o[key] for o in observations]) for key in observations[0]}
-    return np.stack([np.asarray(o) for o in observations])
+    return np.array(observations)
 
 
 def take(observations: Observations, indices: IntArray | slice | int) -> Any:
     """The observations at ``indices``, in that order, as a batch; at a single index one observation."""
     return _of_each(lambda array: array[indices], observations)
+
+
+def singles(observations: Observations) -> list[Any]:
+    """A batch → its single observations, the inverse of `stack`."""
+    if isinstance(observations, Mapping):
+        return [dict(zip(observations, row, strict=True)) for row in zip(*observations.values(), strict=True)]
+    return list(observations)
 
 
 def concatenate(batches: Sequence[Observations]) -> Observations:
@@ -61,6 +68,17 @@ def concatenate(batches: Sequence[Observations]) -> Observations:
     if isinstance(first, Mapping):
         return {key: np.concatenate([cast("Mapping[str, Any]", b)[key] for b in batches]) for key in first}
     return np.concatenate(cast("Sequence[npt.NDArray[Any]]", batches))
+
+
+def where(mask: BoolArray, one: Observations, other: Observations) -> Observations:
+    """The observations of one batch where a mask, (batch,), is true, and of another elsewhere."""
+    if isinstance(one, Mapping):
+        return {key: np.where(_along(mask, part), part, np.asarray(other[key])) for key, part in one.items()}
+    return np.where(_along(mask, one), one, cast("npt.NDArray[Any]", other))
+
+
+def _along(mask: BoolArray, array: npt.NDArray[Any]) -> BoolArray:
+    return mask.reshape(-1, *[1] * (array.ndim - 1))
 
 
 def copy_of(observation: Any) -> Any:

@@ -10,7 +10,10 @@ import numpy as np
 
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
 
-Termination: TypeAlias = Literal["primitive", "subgoal", "left_initiation", "max_duration", "terminated", "truncated"]
+Termination: TypeAlias = Literal[
+    "primitive", "subgoal", "left_initiation", "max_duration", "terminated", "truncated", "running"
+]
+"""Why a run ended; "running": it has not, or it is not to be learned from (`OptionsVecEnv`)."""
 
 
 class OptionRun(NamedTuple):
@@ -21,7 +24,7 @@ class OptionRun(NamedTuple):
 
     Attributes:
         index: The slot whose option ran; -1 of a primitive.
-        duration: Primitive steps k.
+        duration: Primitive steps k; 0 while an option of `OptionsVecEnv` goes on.
         discount: γᵏ.
         gamma: γ per primitive step.
         termination: Why it ended.
@@ -31,6 +34,7 @@ class OptionRun(NamedTuple):
         available: Which slots may start in each of the k observations arrived in, (k, max_options); None unless
             ``SlotState.report_availability`` asked for it and there are options.
         inside: Of an option, whether it began in its initiation set; outside it is a single step.
+        chosen: The augmented action that the run began with, where the present one did not count (`OptionsVecEnv`).
     """
 
     index: int  # type: ignore[assignment]  # hides tuple.index, which nobody calls
@@ -43,6 +47,7 @@ class OptionRun(NamedTuple):
     rewards: FloatArray | None = None
     available: BoolArray | None = None
     inside: bool | None = None
+    chosen: int | None = None
 
     def as_info(self) -> RunInfo:
         """The value of ``info["option"]``: a dict of the fields that are not None."""
@@ -75,6 +80,7 @@ class OptionRun(NamedTuple):
                     get("rewards"),
                     get("available"),
                     get("inside"),
+                    get("chosen"),
                 ),
             )
         except (AttributeError, KeyError, TypeError):

@@ -51,7 +51,7 @@ class TrajectoryRecorder:
 
     def record(self, action: int, reward: float, observation: Any) -> None:
         """Add one primitive step that led to ``observation``."""
-        if len(self) == LONGEST_EPISODE:
+        if len(self._actions) == LONGEST_EPISODE:
             self._gave_up = True
             self._forget()
             logger.warning(

@@ -19,6 +19,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, is_vecenv_wrapped
 
 from sb3_options.discovery.budget import STEP_SECONDS, TABLE_STEP_SECONDS
+from sb3_options.execution.options_vec_env import OptionsVecEnv
 from sb3_options.learning import heads
 from sb3_options.learning.macro_q import MacroQ
 from sb3_options.learning.replay_buffer import OptionReplayBuffer
@@ -267,6 +268,15 @@ class Masked(Sampled):
 
 class Recurrent(Sampled):
     """RecurrentPPO: its LSTM sees the observations at decisions only."""
+
+    def check(self, venv: VecEnv) -> None:
+        """Also refuse `OptionsVecEnv`."""
+        super().check(venv)
+        if is_vecenv_wrapped(venv, OptionsVecEnv):
+            raise ValueError(
+                "OptionsVecEnv shows the same observation again while an option runs, and the LSTM of RecurrentPPO "
+                "would remember that: use OptionsWrapper, or an algorithm without memory."
+            )
 
     def _distribution(self, batch: Any) -> Any:
         policy = self.model.policy

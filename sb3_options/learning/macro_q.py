@@ -264,12 +264,15 @@ class MacroQ(MaskedPrediction):
         if run is None:
             self._update(began, action, reward, self.gamma, arrived, ended, ())
             return
+        if run.termination == "running":  # its environment waits, or its slot was emptied
+            return
         if run.index < 0:
             if run.actions is not None:
                 action = int(run.actions[0])  # an empty slot ran this primitive
             may_start = () if run.available is None else run.available[0].tolist()
             self._update(began, action, reward, run.discount, arrived, ended, may_start)
             return
+        action = self._n_primitive + run.index
         assert run.actions is not None  # an option reports its steps
         assert run.rewards is not None
         available = [()] * run.duration if run.available is None else run.available.tolist()

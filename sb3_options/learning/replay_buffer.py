@@ -191,11 +191,14 @@ class OptionReplayBuffer(ReplayBuffer):
         actions = np.asarray(action).reshape(self.n_envs, self.action_dim)
         for i, info in enumerate(infos):
             run = OptionRun.from_info(info)
+            if run.termination == "running":  # its environment waits, or its slot was emptied
+                continue
             here = {k: v[i][None] for k, v in obs.items()}
             there = {k: v[i][None] for k, v in next_obs.items()}
             timeout = bool(info.get("TimeLimit.truncated", False))
-            # A slot that ran a primitive instead is stored as that primitive.
-            chosen = actions[i] if run.actions is None or run.index >= 0 else run.actions
+            chosen = actions[i] if run.chosen is None else np.array([run.chosen])
+            if run.index < 0 and run.actions is not None:
+                chosen = run.actions  # a slot that ran a primitive instead is stored as that primitive
             last = None if run.available is None else run.available[-1:]
             this = slice(i, i + 1)
             decision = self.pos

@@ -22,7 +22,7 @@ def smdp_advantages(
     next_values: FloatArray,
     discounts: FloatArray,
     goes_on: FloatArray,
-    gae_lambda: float,
+    gae_lambda: FloatArray | float,
 ) -> FloatArray:
     """Generalised advantage estimation over a semi-Markov process.
 
@@ -36,7 +36,7 @@ def smdp_advantages(
         next_values: V(sₜ₊₁).
         discounts: γᵏ.
         goes_on: 1 where the episode goes on after the step, else 0.
-        gae_lambda: λ, one number.
+        gae_lambda: λ, of each transition or one number.
 
     Returns:
         Aₜ, (n_steps, n_envs).
@@ -69,12 +69,15 @@ def add_bonuses(buffer: RolloutBuffer, bonuses: FloatArray) -> None:
     with values of 0, is what they add to the advantages and returns that are there.
     """
     nothing = np.zeros_like(bonuses)
-    discounts = buffer.discounts if isinstance(buffer, SMDPAdvantages) else np.asarray(buffer.gamma)
+    over_options = buffer if isinstance(buffer, SMDPAdvantages) else None
+    discounts = np.asarray(buffer.gamma) if over_options is None else over_options.discounts
+    traces = buffer.gae_lambda if over_options is None else over_options.traces()
+    decides = 1.0 if over_options is None else over_options.decides()
     # After the last step nothing of the bonus follows, whether the episode ended there or not.
     goes_on = 1.0 - np.concatenate([buffer.episode_starts[1:], nothing[:1]])
-    advantages = smdp_advantages(bonuses, nothing, nothing, discounts, goes_on, buffer.gae_lambda)
+    advantages = smdp_advantages(bonuses, nothing, nothing, discounts, goes_on, traces)
     buffer.rewards += bonuses.astype(np.float32)
-    buffer.advantages += advantages.astype(np.float32)
+    buffer.advantages += (advantages * decides).astype(np.float32)
     buffer.returns += advantages.astype(np.float32)
 
 
@@ -109,6 +112,8 @@ class SMDPAdvantages:
     next_size: int | None = None
     n_primitive_steps: int | None = None
 
+    durations: FloatArray
+
     # Attributes of the SB3 buffer.
     buffer_size: int
     n_envs: int
@@ -128,6 +133,8 @@ class SMDPAdvantages:
         shape: tuple[int, ...] | None = getattr(self, "hidden_state_shape", None)
         if shape is not None:  # RecurrentPPO's buffer keeps an LSTM state for each row
             self.hidden_state_shape = (self.buffer_size, *shape[1:])
+        # Which environments wait when the rollout begins.
+        self._waited = self.durations[-1] == 0 if hasattr(self, "durations") else np.zeros(self.n_envs, dtype=bool)
         self.durations = np.ones((self.buffer_size, self.n_envs))
         self.discounts = np.full((self.buffer_size, self.n_envs), self.gamma)
         self._expected: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None = None
@@ -174,10 +181,24 @@ class SMDPAdvantages:
             np.concatenate([values[1:], last]),
             self.discounts,
             1.0 - ended,
-            self.gae_lambda,
+            self.traces(),
         )
-        self.advantages[:] = advantages
+        self.advantages[:] = advantages * self.decides()
         self.returns[:] = advantages + values
+
+    def traces(self) -> FloatArray | float:
+        """λ of each transition: 1 where an environment waits for its option to end (`OptionsVecEnv`).
+
+        Such a row has no reward, γ⁰ = 1 and the observation of the row before, so that the decision before it has the
+        advantage that it would have with the whole option in one row.
+        """
+        waits = self.durations == 0
+        return np.where(waits, 1.0, self.gae_lambda) if waits.any() else self.gae_lambda
+
+    def decides(self) -> FloatArray:
+        """1 where an action counted, 0 where an option went on that an earlier row had chosen."""
+        waited = np.concatenate([self._waited[None], self.durations[:-1] == 0])
+        return 1.0 - waited
 
 
 class OptionRolloutBuffer(SMDPAdvantages, RolloutBuffer):

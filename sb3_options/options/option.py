@@ -116,6 +116,10 @@ class Option:
         """β inside I: the probability of ending in each observation, shape (batch,)."""
         return self._checked("termination", self._termination(observations), observations).astype(np.float64)
 
+    def membership(self, observations: Observations) -> tuple[BoolArray, FloatArray]:
+        """`initiation` and `termination` of each observation, (batch,) each."""
+        return self.initiation(observations), self.termination(observations)
+
     def _checked(self, what: str, value: npt.ArrayLike, observations: Observations) -> npt.NDArray[Any]:
         array = np.asarray(value)
         expected = (obs_batch.batch_size(observations),)
@@ -205,6 +209,11 @@ class SubgoalOption(Option):
     def termination(self, observations: Observations) -> FloatArray:
         """1 at the subgoal, else 0, shape (batch,)."""
         return self._membership(self._computed_membership, observations)[1].astype(np.float64)
+
+    def membership(self, observations: Observations) -> tuple[BoolArray, FloatArray]:
+        """Both at once."""
+        inside, reached = self._membership(self._computed_membership, observations)
+        return inside.copy(), reached.astype(np.float64)
 
     def _computed_membership(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
         return self._places(self._membership_of, self._features(observations))

@@ -28,7 +28,7 @@ def test_a_users_own_environment_need_only_say_duration_and_discount() -> None:
     assert (run.index, run.duration, run.discount, run.termination) == (-1, 4, 0.9**4, "primitive")
     assert OptionRun.from_info({"option": {"duration": np.array(3), "discount": np.array([0.5])}})[1:3] == (3, 0.5)
     assert run.gamma == pytest.approx(0.9, rel=1e-15)
-    assert run[5:] == (None,) * 5
+    assert run[5:] == (None,) * 6
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,368 @@
+"""`OptionsVecEnv`: options in a vectorised environment that cannot step one of its environments alone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+
+from sb3_options.embedding.settings import MapName
+from sb3_options.execution import features as feature_maps
+from sb3_options.execution.above import Outermost
+from sb3_options.execution.option_step import RunUnderWay, primitives_of, why_ended
+from sb3_options.execution.recording import recorder_for, refuse_own
+from sb3_options.execution.slots import SlotState, Traits, checked_primitives, empty_bank, with_changes
+from sb3_options.execution.wrapper import TERMINATION_SEED, OptionsWrapper
+from sb3_options.experience.observations import (
+    BoolArray,
+    FeatureMap,
+    FloatArray,
+    IntArray,
+    Observations,
+    batch_of_one,
+    singles,
+    stack,
+    take,
+    where,
+)
+from sb3_options.experience.option_run import OptionRun, RunInfo, Termination
+from sb3_options.experience.recording import TrajectoryRecorder
+from sb3_options.experience.success import success_in
+from sb3_options.experience.trajectories import Trajectory
+from sb3_options.options.option import Option
+
+Infos: TypeAlias = list[dict[str, Any]]
+
+ATTRIBUTES = ("above", "bank", "slot_state", "traits")
+"""What callbacks and algorithms ask of each environment."""
+
+METHODS = ("action_masks", "available", "concept_features", "random_trajectories", "set_slots")
+"""What they call in environments."""
+
+
+class OptionsVecEnv(VecEnvWrapper):
+    """Adds ``max_options`` option slots to the actions of any ``VecEnv``, whose environments all step at once.
+
+    It is `OptionsWrapper` for environments that are no Gymnasium environments, such as those of EnvPool or JAX. φ,
+    initiation sets, policies and terminations are computed for all environments in one call each.
+
+    While an option runs, its environment waits: each ``step_wait`` takes one primitive step everywhere and returns, for
+    a waiting environment, the observation in which the option was chosen, a reward of 0 and a duration of 0. Its mask
+    allows that option alone, and the action that it is given does not count. With the step that ends the option it
+    returns what `OptionsWrapper.step` returns, and the same ``info["option"]``. `OptionReplayBuffer` leaves waiting
+    rows out, and the rollout buffers learn nothing from them, so that algorithms see the same decisions. An option
+    that is under way when a rollout ends is not learned from by PPO, A2C and TRPO.
+
+    Options must be functions of the observation alone, because all environments share them. A ``VecMonitor`` belongs
+    beneath. Where the environment masks actions of its own, use `OptionsWrapper`.
+
+    Args:
+        venv: Its action space must be ``Discrete`` and start at 0. At an episode's end ``infos`` hold
+            ``terminal_observation`` and, where time ran out, ``TimeLimit.truncated``, as SB3 demands.
+        max_options: Number of slots, at least 0.
+        gamma: Discount γ per primitive step, in (0, 1]; must equal the algorithm's.
+        feature_map: As for `OptionsWrapper`; by default ``venv.concept_features``, if there is one.
+        options_file: As for `OptionsWrapper`.
+        max_runs: As for `OptionsWrapper`.
+
+    Raises:
+        TypeError: The actions are not ``Discrete`` from 0 on, or ``feature_map`` cannot be called.
+        ValueError: An argument is out of its range, or the file's options do not fit the environment.
+        FileNotFoundError: There is no ``options_file``.
+    """
+
+    above: tuple[str, ...] = ()
+    """Wrappers above each environment that may change its steps: there can be none."""
+
+    def __init__(
+        self,
+        venv: VecEnv,
+        max_options: int = 4,
+        *,
+        gamma: float = 0.99,
+        feature_map: FeatureMap | MapName | None = None,
+        options_file: str | os.PathLike[str] | None = None,
+        max_runs: int | None = None,
+    ) -> None:
+        self.n_primitive = checked_primitives("OptionsVecEnv", venv.action_space, gamma, max_runs)
+        self.gamma = float(gamma)
+        self.max_runs = max_runs
+        space = venv.observation_space
+        observation_size = feature_maps.flat_size(space)
+        self.features = feature_maps.of_space(space, feature_map, getattr(venv, "concept_features", None))
+        self.bank = empty_bank(space, self.n_primitive, max_options, self.features, observation_size)
+        if options_file is not None:
+            self.bank.load(options_file)
+        self._n_actions = self.n_primitive + max_options
+        super().__init__(venv, action_space=spaces.Discrete(self._n_actions))
+        self.slot_state = SlotState()
+        self._observations: Any = None  # of the environments
+        self._shown: Any = None  # the same, but of a waiting one the observation in which its option was chosen
+        self._running: dict[int, tuple[Option, RunUnderWay]] = {}  # by environment
+        self._memberships: dict[int, tuple[Option, BoolArray, FloatArray]] = {}  # by the option's id
+        self._runs = np.zeros((self.num_envs, max_options), dtype=np.int64)
+        self._actions = np.zeros(self.num_envs, dtype=np.int64)  # primitive ones, of the present step
+        self._instead: BoolArray = np.zeros(self.num_envs, dtype=bool)  # whether they run in the place of a slot
+        self._recorders: list[TrajectoryRecorder] = []
+        self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
+        self._waits = OptionRun(-1, 0, 1.0, self.gamma, "running").as_info()
+        self._reseed(None)
+
+    @property
+    def traits(self) -> Traits:
+        """What each environment is; with `bank`, all that others ask."""
+        features = self.features
+        return Traits(
+            self.n_primitive,
+            self.bank.max_options,
+            self.gamma,
+            self.max_runs,
+            False,
+            self.venv.observation_space,
+            features.kind if features else None,
+            features.groups if features else (),
+            self.bank.feature_size,
+        )
+
+    def set_slots(self, **changes: Any) -> None:
+        """Replace fields of the `SlotState` of all environments; ``options`` are added to those that it names.
+
+        An option that runs goes on to its end, also where its slot was emptied: then it is not learned from.
+        """
+        before = self.slot_state
+        self.slot_state = now = with_changes(before, self.bank, self.features, changes)
+        self._memberships.clear()
+        emptied = [slot for slot, option in changes.get("options", {}).items() if option is None]
+        self._runs[:, emptied] = 0
+        if (now.record, now.max_segment) != (before.record, before.max_segment):
+            self._recorders = [recorder_for(now.max_segment) for _ in range(self.num_envs if now.record else 0)]
+            if self._observations is not None:
+                self._begin_recording(range(self.num_envs))
+
+    def concept_features(self, observations: Observations) -> FloatArray:
+        """φ of a batch of observations, shape (batch, d)."""
+        return feature_maps.computed(self.features, observations, self.venv.observation_space)
+
+    def available(self, observations: Observations) -> BoolArray:
+        """Which augmented actions may start by initiation sets alone, shape (batch, n_primitive + max_options)."""
+        return self.bank.available(observations)
+
+    def action_masks(self) -> BoolArray:
+        """Which actions may be chosen now, (n_envs, n_primitive + max_options); where an option runs, it alone."""
+        masks = np.ones((self.num_envs, self._n_actions), dtype=bool)
+        masks[:, self.n_primitive :] = self._may_start()
+        for env, (_, run) in self._running.items():
+            masks[env] = False
+            masks[env, self.n_primitive + run.slot] = True
+        return masks
+
+    def _may_start(self) -> BoolArray:
+        """Which slots may start where the environments are, (n_envs, max_options)."""
+        slots = np.zeros(self._runs.shape, dtype=bool)
+        for slot in self.bank.filled:
+            slots[:, slot] = self._membership(self.bank[slot])[0]
+        return slots & self._may_run()
+
+    def _membership(self, option: Option | None) -> tuple[BoolArray, FloatArray]:
+        """I and β of an option where the environments are, (n_envs,) each, computed once."""
+        assert option is not None  # its slot is filled, or it runs
+        if id(option) not in self._memberships:
+            self._memberships[id(option)] = option, *option.membership(self._observations)
+        return self._memberships[id(option)][1:]
+
+    def _may_run(self) -> BoolArray:
+        """Which slots have not run ``max_runs`` times, (n_envs, max_options)."""
+        return np.ones(self._runs.shape, dtype=bool) if self.max_runs is None else self._runs < self.max_runs
+
+    def reset(self) -> Any:
+        """Begin an episode in every environment; no option runs."""
+        self._observations = self._shown = self.venv.reset()
+        self._memberships.clear()
+        if self.features is not None and self.bank.feature_size is None:
+            one = batch_of_one(take(self._observations, 0))
+            self.bank.feature_size = feature_maps.checked_size(self.features.map, one)
+        self._running.clear()
+        self._runs[:] = 0
+        self._begin_recording(range(self.num_envs))
+        return self._shown
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the environments, and whether options with 0 < β < 1 end."""
+        seeds = self.venv.seed(seed)
+        self._reseed(seed)
+        return seeds
+
+    def _reseed(self, seed: int | None) -> None:
+        seeds = [[] if seed is None else [seed + env] for env in range(self.num_envs)]
+        self._random = [np.random.default_rng([*each, TERMINATION_SEED]) for each in seeds]
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Begin one primitive step everywhere: a chosen one, or that of an option which begins or goes on."""
+        actions = np.asarray(actions, dtype=np.int64).reshape(self.num_envs)
+        if not ((actions >= 0) & (actions < self._n_actions)).all():
+            raise ValueError(f"actions must be between 0 and {self._n_actions - 1}, got {actions}.")
+        slots = actions - self.n_primitive
+        slots[list(self._running)] = -1
+        self._instead = slots >= 0
+        may_run = self._may_run()
+        for slot in self.bank.filled if self._instead.any() else ():
+            envs: IntArray = np.flatnonzero((slots == slot) & may_run[:, slot])
+            self._instead[envs] = False
+            self._start(slot, envs)
+        self._actions = np.where(self._instead, slots % self.n_primitive, actions)
+        for option, envs in self._by_option():
+            self._actions[envs] = primitives_of(option, take(self._observations, envs), self.n_primitive)
+        self.venv.step_async(self._actions)
+
+    def _start(self, slot: int, envs: IntArray) -> None:
+        option = self.bank[slot]
+        assert option is not None  # the slot is filled
+        initiation, _ = self._membership(option)
+        self._runs[envs, slot] += initiation[envs]
+        for env in envs.tolist():
+            run = RunUnderWay(slot, take(self._observations, env), self.gamma, inside=bool(initiation[env]))
+            self._running[env] = option, run
+
+    def _by_option(self) -> Iterable[tuple[Option, IntArray]]:
+        """The options that run, each with its environments; one that was replaced may run beside the later one."""
+        groups: dict[int, tuple[Option, list[int]]] = {}
+        for env, (option, _) in self._running.items():
+            groups.setdefault(id(option), (option, []))[1].append(env)
+        return [(option, np.array(envs)) for option, envs in groups.values()]
+
+    def step_wait(self) -> Any:
+        """Observations, rewards, whether episodes ended, and infos, as the class describes."""
+        observations: Any
+        observations, given, dones, infos = self.venv.step_wait()
+        for info in infos:
+            refuse_own(info, "option")
+        # Copies, because an environment may hand out one and the same dictionary every time.
+        infos = [{**info, "option": self._primitive} for info in infos]
+        led = _arrived_in(observations, dones, infos)
+        self._record(given, led, dones, infos)
+        self._observations = observations
+        self._memberships.clear()
+        rewards = np.array(given)
+        endings: dict[int, Termination] = {}
+        for env, (option, run) in self._running.items():
+            run.add(int(self._actions[env]), given[env], take(led, env))
+            why = _end_of_episode(infos[env]) if dones[env] else self._why_ended(env, option, run)
+            rewards[env] = 0.0 if why is None else run.total
+            if why is not None:
+                endings[env] = why
+        self._report(endings, led, infos)
+        for env in endings:
+            del self._running[env]
+        self._runs[dones] = 0
+        waits = np.zeros(self.num_envs, dtype=bool)
+        waits[list(self._running)] = True
+        self._shown = where(waits, self._shown, observations) if self._running else observations
+        self._begin_recording(np.flatnonzero(dones).tolist())
+        return self._shown, rewards, dones, infos
+
+    def _why_ended(self, env: int, option: Option, run: RunUnderWay) -> Termination | None:
+        initiation, termination = self._membership(option)
+        return why_ended(
+            len(run.actions),
+            option.max_duration,
+            float(termination[env]),
+            self._random[env],
+            goes_on=run.inside and bool(initiation[env]),
+        )
+
+    def _report(self, endings: dict[int, Termination], led: Observations, infos: Infos) -> None:
+        """Put what ran into ``info["option"]``, where it was no chosen primitive."""
+        for env in np.flatnonzero(self._instead).tolist():
+            infos[env]["option"] = RunInfo(self._primitive, actions=self._actions[env : env + 1].copy())
+        reports = self.slot_state.report_availability and bool(self.bank.filled)
+        arrived = self.bank.available_slots(led) & self._may_run() if reports else None
+        for row, info in zip(arrived if arrived is not None else (), infos, strict=False):
+            info["option"] = RunInfo(info["option"], available=row[None])
+        for env, (_, run) in self._running.items():
+            last = None if arrived is None else arrived[env]
+            infos[env]["option"] = self._ended(run, endings[env], last) if env in endings else self._waits
+
+    def _ended(self, run: RunUnderWay, why: Termination, last: BoolArray | None) -> RunInfo:
+        """The info of a run that ended, with the slots available in the ``last`` observation."""
+        available = None
+        if last is not None:
+            available = self.bank.available_slots(stack(run.observations[1:]))
+            available[-1] = last
+        ended = run.ended(why, available)
+        if self.bank[run.slot] is None:  # it was closed, and no one may learn of it
+            return OptionRun(-1, ended.duration, ended.discount, ended.gamma, "running").as_info()
+        return ended._replace(chosen=self.n_primitive + run.slot).as_info()
+
+    def _record(self, rewards: npt.NDArray[Any], led: Observations, dones: npt.NDArray[Any], infos: Infos) -> None:
+        if not self._recorders:
+            return
+        rows = zip(self._recorders, self._actions.tolist(), rewards.tolist(), singles(led), dones, infos, strict=True)
+        for recorder, action, reward, observation, done, info in rows:
+            recorder.record(action, reward, observation)
+            refuse_own(info, "trajectory", "segments")
+            if done:
+                truncated = _end_of_episode(info) == "truncated"
+                recorder.end(terminated=not truncated, truncated=truncated, is_success=success_in(info))
+            if recorder.finished:
+                info.update(recorder.report())
+                recorder.finished.clear()
+
+    def _begin_recording(self, envs: Iterable[int]) -> None:
+        for env in envs if self._recorders else ():
+            self._recorders[env].begin(take(self._observations, env))
+
+    def random_trajectories(self, episodes: int, seed: int) -> list[Trajectory]:
+        """The first episodes of random primitive actions to end; reset the environments afterwards."""
+        self.seed(seed)
+        self.set_slots(record=True, max_segment=None)
+        random = np.random.default_rng(seed)
+        self.reset()
+        trajectories: list[Trajectory] = []
+        while len(trajectories) < episodes:
+            *_, infos = self.step(random.integers(self.n_primitive, size=self.num_envs))
+            trajectories += [info["trajectory"] for info in infos if "trajectory" in info]
+        return trajectories[:episodes]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """Whether each environment is in a wrapper; in `OptionsWrapper` all are, as far as anybody need know."""
+        if wrapper_class in (OptionsWrapper, Outermost):
+            return [True] * len(list(self._get_indices(indices)))
+        return self.venv.env_is_wrapped(wrapper_class, indices)
+
+    def has_attr(self, attr_name: str) -> bool:
+        """Whether each environment has an attribute or method."""
+        return attr_name in (*ATTRIBUTES, *METHODS) or self.venv.has_attr(attr_name)
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of each environment."""
+        if attr_name in ATTRIBUTES:
+            return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+        return self.venv.get_attr(attr_name, indices)
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """Call a method in each environment; those of options are called once for all of them."""
+        if method_name not in METHODS:
+            return self.venv.env_method(method_name, *method_args, indices=indices, **method_kwargs)
+        result = getattr(self, method_name)(*method_args, **method_kwargs)
+        envs = self._get_indices(indices)
+        return [result[env] for env in envs] if method_name == "action_masks" else [result for _ in envs]
+
+
+def _end_of_episode(info: dict[str, Any]) -> Termination:
+    return "truncated" if info.get("TimeLimit.truncated") else "terminated"
+
+
+def _arrived_in(observations: Observations, dones: npt.NDArray[Any], infos: Infos) -> Observations:
+    """The observations to which steps led: those that ended an episode instead of those of the next one."""
+    ended = np.flatnonzero(dones)
+    if not len(ended):
+        return observations
+    last = stack([infos[env]["terminal_observation"] for env in ended.tolist()])
+    places = np.zeros(len(dones), dtype=np.int64)
+    places[ended] = np.arange(len(ended))
+    return where(np.asarray(dones, dtype=bool), take(last, places), observations)

@@ -1,0 +1,263 @@
+"""`OptionsVecEnv` against `OptionsWrapper`: each environment takes the same course, decision by decision."""
+
+import hashlib
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import Option, OptionReplayBuffer, OptionRolloutBuffer, OptionsVecEnv, OptionsWrapper
+from sb3_options.envs.minigrid import MiniGridWrapper
+from sb3_options.experience.observations import flatten, take
+from sb3_options.experience.option_run import OptionRun
+from sb3_options.experience.trajectories import Trajectory
+from tests.support.helpers import CountingEnv, equal, steady_option
+from tests.support.sb3_helpers import TAXI, small_rooms
+
+N_ENVS = 3
+GAMMA = 0.9
+
+
+def digest(observations: Any, salt: str) -> npt.NDArray[np.int64]:
+    """A number for each observation, (batch,), that looks random."""
+    rows = flatten(observations)
+    keys = [hashlib.blake2b(row.tobytes() + salt.encode(), digest_size=4).digest() for row in rows]
+    return np.array([int.from_bytes(key, "big") for key in keys])
+
+
+def arbitrary_option(n_primitive: int, salt: str, *, max_duration: int) -> Option:
+    """May start in most observations, and ends in some, in others by chance."""
+    return Option(
+        lambda obs: digest(obs, f"{salt} I") % 8 > 0,
+        lambda obs: digest(obs, f"{salt} π") % n_primitive,
+        lambda obs: np.array([0.0, 0.0, 0.0, 0.5, 1.0])[digest(obs, f"{salt} β") % 5],
+        max_duration=max_duration,
+        name=salt,
+    )
+
+
+class Decision(NamedTuple):
+    """What an algorithm is told of one decision."""
+
+    observation: Any
+    mask: npt.NDArray[np.bool_]
+    action: int
+    reward: float
+    arrived: Any
+    done: bool
+    run: dict[str, Any]
+    trajectories: list[Trajectory]
+
+
+def decisions(venv: VecEnv, n_steps: int) -> list[list[Decision]]:
+    """Those of each environment: choices follow from its observation, mask and number of decisions."""
+    venv.seed(5)
+    observations: Any = venv.reset()
+    made: list[list[Decision]] = [[] for _ in range(venv.num_envs)]
+    cut: list[list[Trajectory]] = [[] for _ in range(venv.num_envs)]  # segments since the last decision
+    begun: dict[int, npt.NDArray[np.bool_]] = {}  # by environment, the mask when its option was chosen
+    for _ in range(n_steps):
+        masks = np.stack(venv.env_method("action_masks"))
+        numbers = digest(observations, "choice")
+        actions = []
+        for env, mask in enumerate(masks):
+            allowed = np.flatnonzero(mask)
+            actions.append(int(allowed[(numbers[env] + 7 * len(made[env])) % len(allowed)]))
+        later: Any
+        later, rewards, dones, infos = venv.step(np.array(actions))
+        for env, info in enumerate(infos):
+            run = dict(info["option"])
+            cut[env] += info.get("segments", ())
+            if run["termination"] == "running":
+                assert (run["duration"], run["discount"], rewards[env], dones[env]) == (0, 1.0, 0.0, False)
+                assert equal(take(later, env), take(observations, env))
+                begun.setdefault(env, masks[env])
+                continue
+            assert run.pop("chosen", actions[env]) == actions[env]
+            arrived = info["terminal_observation"] if dones[env] else take(later, env)
+            told = [info["trajectory"]] if "trajectory" in info else cut[env]
+            cut[env] = []
+            first = take(observations, env)
+            made[env].append(
+                Decision(first, begun.pop(env, masks[env]), actions[env], rewards[env], arrived, dones[env], run, told)
+            )
+        observations = later
+    venv.close()
+    return made
+
+
+def rooms() -> gym.Env[Any, Any]:
+    return small_rooms()
+
+
+CASES: dict[str, Callable[[], gym.Env[Any, Any]]] = {
+    "rooms": rooms,
+    "TwoRooms": lambda: gym.make("sb3_options/TwoRooms-v0", max_steps=60),
+    "FourRooms, picture": lambda: gym.make("sb3_options/FourRooms-v0", observation="image", max_steps=60),
+    "KeyDoor": lambda: gym.make("sb3_options/KeyDoor-v0", observation="xy", max_steps=60),
+    "Taxi": lambda: gym.make(TAXI, max_episode_steps=50),
+    "MiniGrid": lambda: MiniGridWrapper(gym.make("minigrid:MiniGrid-DoorKey-5x5-v0", max_steps=60)),
+    "Pioneer": lambda: gym.make("sb3_options/Pioneer-v0", max_steps=20),
+    "CartPole": lambda: gym.make("CartPole-v1"),
+    "counting": lambda: CountingEnv(3, terminate_at=17),
+    "counting, cut off": lambda: CountingEnv(3, truncate_at=11),
+}
+
+
+def both(make: Callable[[], gym.Env[Any, Any]], *, n_envs: int = N_ENVS, **kwargs: Any) -> tuple[VecEnv, OptionsVecEnv]:
+    """The same environments in either way."""
+    single = DummyVecEnv([lambda: OptionsWrapper(make(), gamma=GAMMA, **kwargs) for _ in range(n_envs)])
+    return single, OptionsVecEnv(DummyVecEnv([make for _ in range(n_envs)]), gamma=GAMMA, **kwargs)
+
+
+@pytest.mark.parametrize("max_runs", [None, 2])
+@pytest.mark.parametrize("reports", [False, True], ids=["plain", "availability"])
+@pytest.mark.parametrize("make", CASES.values(), ids=CASES.keys())
+def test_every_environment_takes_the_same_course(
+    make: Callable[[], gym.Env[Any, Any]], reports: bool, max_runs: int | None
+) -> None:
+    single, batched = both(make, max_runs=max_runs)
+    n_primitive = single.get_attr("traits")[0].n_primitive
+    options = {slot: arbitrary_option(n_primitive, f"option {slot}", max_duration=9 - 2 * slot) for slot in (0, 1, 3)}
+    for venv in (single, batched):
+        venv.env_method("set_slots", options=options, record=True, report_availability=reports, expect_empty=True)
+    expected, got = decisions(single, 150), decisions(batched, 600)
+    runs = [decision.run for of_env in expected for decision in of_env]
+    ends = {run["termination"] for run in runs}
+    assert {"primitive", "subgoal"} < ends
+    for of_single, of_batched in zip(expected, got, strict=True):
+        n = min(len(of_single), len(of_batched))
+        assert n >= 100
+        for one, other in zip(of_single[:n], of_batched[:n], strict=True):
+            assert same(one, other)
+
+
+def same(one: Decision, other: Decision) -> bool:
+    """Equality, but for types: a `VecEnv` has those of its space, an environment others."""
+    return all(map(alike, one, other))
+
+
+def alike(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(alike(one[key], other[key]) for key in one)
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(alike, one, other))
+    if isinstance(one, Trajectory):
+        return alike(vars(one), vars(other))
+    if isinstance(one, str) or one is None:
+        return bool(one == other)
+    return np.allclose(one, other, rtol=1e-6)
+
+
+class Pictures(gym.ObservationWrapper[Any, Any, Any]):
+    """Observations of several parts."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        parts = {"where": env.observation_space, "again": env.observation_space}
+        self.observation_space = gym.spaces.Dict(parts)
+
+    def observation(self, observation: Any) -> Any:
+        return {"where": observation, "again": observation}
+
+
+def test_observations_may_have_parts_and_trajectories_be_cut_at_peaks_of_reward() -> None:
+    single, batched = both(lambda: Pictures(CountingEnv(3, terminate_at=17)), feature_map=flatten)
+    options = {0: arbitrary_option(3, "option", max_duration=5)}
+    for venv in (single, batched):
+        venv.env_method("set_slots", options=options, record=True, max_segment=4, expect_empty=True)
+    expected, got = decisions(single, 60), decisions(batched, 300)
+    assert any(decision.trajectories for decision in expected[0])
+    for of_single, of_batched in zip(expected, got, strict=True):
+        assert all(same(one, other) for one, other in zip(of_single, of_batched, strict=False))
+
+
+def test_a_replay_buffer_gets_the_same_rows() -> None:
+    buffers = []
+    for venv in both(rooms, n_envs=1):
+        options = {0: arbitrary_option(4, "one", max_duration=6), 1: arbitrary_option(4, "other", max_duration=3)}
+        venv.env_method("set_slots", options=options, report_availability=True, expect_empty=True)
+        buffer = OptionReplayBuffer(400, venv.observation_space, venv.action_space, n_envs=1, n_steps=3)
+        buffer.track_availability(4)
+        venv.seed(5)
+        observations, n_decisions = venv.reset(), 0
+        while not buffer.full:
+            (mask,) = venv.env_method("action_masks")
+            allowed = np.flatnonzero(mask)
+            action = np.array([allowed[(digest(observations, "choice")[0] + n_decisions) % len(allowed)]])
+            later: Any
+            later, rewards, dones, infos = venv.step(action)
+            n_decisions += infos[0]["option"]["termination"] != "running"
+            told = np.where(dones[:, None], infos[0].get("terminal_observation", 0), later)
+            # What an algorithm without masks chooses while its environment waits does not count.
+            given = action if infos[0]["option"].get("chosen") is None else np.zeros(1, dtype=np.int64)
+            buffer.add(observations, told, given, rewards, dones, infos)
+            observations = later
+        buffers.append(buffer)
+    assert (buffers[0].actions >= 4).sum() > 10
+    for one, other in zip(*(buffer._columns() for buffer in buffers), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_rollout_buffer_gives_every_decision_the_same_advantage() -> None:
+    size = 300
+    found = []
+    for venv in both(lambda: CountingEnv(4, terminate_at=17), n_envs=1):
+        options = {0: arbitrary_option(4, "one", max_duration=6), 1: arbitrary_option(4, "other", max_duration=3)}
+        venv.env_method("set_slots", options=options, expect_empty=True)
+        buffer = OptionRolloutBuffer(size, venv.observation_space, venv.action_space, gamma=GAMMA, gae_lambda=0.8)
+        venv.seed(5)
+        observations, n_decisions, started = venv.reset(), 0, np.ones(1)
+        decides, waited = [], False
+        while buffer.pos < size:
+            (mask,) = venv.env_method("action_masks")
+            allowed = np.flatnonzero(mask)
+            action = np.array([allowed[(digest(observations, "choice")[0] + n_decisions) % len(allowed)]])
+            later, rewards, dones, infos = venv.step(action)
+            decides.append(not waited)
+            waited = infos[0]["option"]["termination"] == "running"
+            n_decisions += not waited
+            buffer.expect(rewards, [OptionRun.from_info(info) for info in infos])
+            value = torch.as_tensor(digest(observations, "value") % 100 / 100.0)
+            buffer.add(observations, action, rewards, started, value, torch.zeros(1))
+            observations, started = later, dones.astype(float)
+        buffer.compute_returns_and_advantage(torch.zeros(1), dones)
+        found.append((buffer.advantages[decides, 0], buffer.returns[decides, 0], buffer.advantages[:, 0]))
+    n = len(found[1][0]) - 60  # the last decisions see another end of the rollout
+    assert n > 40
+    np.testing.assert_allclose(found[0][0][:n], found[1][0][:n], rtol=1e-5)
+    np.testing.assert_allclose(found[0][1][:n], found[1][1][:n], rtol=1e-5)
+
+
+def test_options_that_are_closed_or_replaced_while_they_run_go_on_to_their_end() -> None:
+    venv = OptionsVecEnv(DummyVecEnv([lambda: CountingEnv(2)] * 2), 2, gamma=GAMMA)
+    venv.set_slots(options={0: steady_option(1, max_duration=3), 1: steady_option(1, max_duration=3)})
+    venv.reset()
+    infos = venv.step(np.array([2, 3]))[-1]
+    assert [info["option"]["duration"] for info in infos] == [0, 0]
+    venv.set_slots(options={0: None, 1: steady_option(0, max_duration=2)})
+    assert venv.action_masks().tolist() == [[False, False, True, False], [False, False, False, True]]
+    venv.step(np.array([0, 0]))
+    _, rewards, _, infos = venv.step(np.array([0, 0]))
+    closed, replaced = (OptionRun.from_info(info) for info in infos)
+    assert (closed.index, closed.duration, closed.termination) == (-1, 3, "running")
+    assert (replaced.index, replaced.duration, replaced.termination) == (1, 3, "max_duration")
+    assert replaced.actions is not None
+    assert replaced.actions.tolist() == [1, 1, 1]
+    np.testing.assert_allclose(rewards, 1 + GAMMA * 2 + GAMMA**2 * 3)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    continuous = DummyVecEnv([lambda: gym.make("Pendulum-v1")])
+    with pytest.raises(TypeError, match="OptionsVecEnv needs a Discrete action space"):
+        OptionsVecEnv(continuous)
+    venv = OptionsVecEnv(DummyVecEnv([CountingEnv]), 1)
+    venv.reset()
+    with pytest.raises(ValueError, match="actions must be between 0 and 2"):
+        venv.step(np.array([3]))
