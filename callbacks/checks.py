@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize, VecTransposeImage
+from stable_baselines3.common.vec_env import (
+    VecEnv,
+    VecEnvWrapper,
+    VecFrameStack,
+    VecNormalize,
+    VecTransposeImage,
+    is_vecenv_wrapped,
+)
 
 from sb3_options.callbacks.tree import check_every_step
 from sb3_options.execution.above import changing_steps
+from sb3_options.execution.options_vec_env import OptionsVecEnv
 from sb3_options.learning.checks import check_gamma, check_wrapped
 from sb3_options.learning.families import Family, Masked, family_of
 
@@ -59,6 +67,11 @@ def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
         family.check(venv)
     if isinstance(family, Masked) and model._last_obs is not None:  # before a reset there are no masks
         _check_masks(venv)
+    if is_vecenv_wrapped(venv, OptionsVecEnv) and is_vecenv_wrapped(venv, VecFrameStack):
+        raise ValueError(
+            "VecFrameStack above OptionsVecEnv would stack the observation in which an option was chosen again and "
+            "again while it runs: stack frames in the environment itself."
+        )
     if names := changing_steps(venv):
         raise ValueError(
             f"{' and '.join(sorted(names))} above OptionsWrapper may change rewards, observations or the ends of "
@@ -103,7 +116,7 @@ def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
     """Refuse wrappers above `OptionsWrapper` that change observations: options act on those that it sees."""
     seen: spaces.Space[Any] = venv.get_attr("traits", [0])[0].observation_space
     changes = []
-    while isinstance(venv, VecEnvWrapper):
+    while isinstance(venv, VecEnvWrapper) and not isinstance(venv, OptionsVecEnv):
         # What these three do is undone where options are asked.
         if not isinstance(venv, (VecNormalize, VecTransposeImage, VecFrameStack)):
             changes.append((venv.venv.observation_space, venv.observation_space))

@@ -121,13 +121,15 @@ class IntrinsicRewardCallback(BaseCallback):
         assert self.scale is not None  # too
         runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
         arrived = [_arrived_in(run, last) for run, last in zip(runs, self._last_observations(), strict=True)]
+        if not any(map(obs_batch.batch_size, arrived)):  # all environments wait for their options to end
+            self._sums.append([0.0] * len(runs))
+            return True
         ends = np.cumsum([obs_batch.batch_size(each) for each in arrived])[:-1]
         bonuses = np.split(self.novelty.visit(obs_batch.concatenate(arrived)), ends)  # of primitive steps, (k,) each
         self._sums.append([_discounted(run, of_run) for run, of_run in zip(runs, bonuses, strict=True)])
         self.scale.update(bonuses)
         self._bonus_weight = self.weight / self.scale.std
-        if len(visited := np.concatenate(bonuses)):
-            self.logger.record_mean("intrinsic/bonus", self._bonus_weight * float(np.mean(visited)))
+        self.logger.record_mean("intrinsic/bonus", self._bonus_weight * float(np.mean(np.concatenate(bonuses))))
         self.logger.record("intrinsic/return_std", self.scale.std)
         for name, value in self.novelty.records().items():
             self.logger.record(f"intrinsic/{name}", value)

@@ -48,7 +48,8 @@ class PrimitiveRollouts:
 
     def plan_next(self) -> None:
         """Set the size of the next rollout; the present one is still to be learned from."""
-        self.model.n_steps = n_decisions(self.n_steps, self.buffer.durations, self.multiple, self.least)
+        if not self.buffer.waits:
+            self.model.n_steps = n_decisions(self.n_steps, self.buffer.durations, self.multiple, self.least)
         self.buffer.next_size = self.model.n_steps
 
     def end(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
@@ -9,7 +10,14 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import (
+    VecEnv,
+    VecEnvWrapper,
+    VecFrameStack,
+    VecNormalize,
+    VecTransposeImage,
+    is_vecenv_wrapped,
+)
 
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
@@ -54,9 +62,9 @@ class OptionsVecEnv(VecEnvWrapper):
     While an option runs, its environment waits: each ``step_wait`` takes one primitive step everywhere and returns, for
     a waiting environment, the observation in which the option was chosen, a reward of 0 and a duration of 0. Its mask
     allows that option alone, and the action that it is given does not count. With the step that ends the option it
-    returns what `OptionsWrapper.step` returns, and the same ``info["option"]``. `OptionReplayBuffer` leaves waiting
-    rows out, and the rollout buffers learn nothing from them, so that algorithms see the same decisions. An option
-    that is under way when a rollout ends is not learned from by PPO, A2C and TRPO.
+    returns what `OptionsWrapper.step` returns, and the same ``info["option"]`` with the action that was ``chosen``.
+    Replay and rollout buffers leave waiting rows out, so that algorithms learn from the same decisions. PPO, A2C and
+    TRPO learn from an option in the rollout in which it ends. ``num_timesteps`` counts its steps then.
 
     Options must be functions of the observation alone, because all environments share them. A ``VecMonitor`` belongs
     beneath. Where the environment masks actions of its own, use `OptionsWrapper`.
@@ -72,7 +80,8 @@ class OptionsVecEnv(VecEnvWrapper):
 
     Raises:
         TypeError: The actions are not ``Discrete`` from 0 on, or ``feature_map`` cannot be called.
-        ValueError: An argument is out of its range, or the file's options do not fit the environment.
+        ValueError: An argument is out of its range, the file's options do not fit the environment, or ``venv`` is in a
+            ``VecNormalize``, ``VecFrameStack`` or ``VecTransposeImage``.
         FileNotFoundError: There is no ``options_file``.
     """
 
@@ -89,6 +98,12 @@ class OptionsVecEnv(VecEnvWrapper):
         options_file: str | os.PathLike[str] | None = None,
         max_runs: int | None = None,
     ) -> None:
+        for changes in (VecFrameStack, VecNormalize, VecTransposeImage):
+            if is_vecenv_wrapped(venv, changes):
+                raise ValueError(
+                    f"{changes.__name__} beneath OptionsVecEnv would be undone where options act: put "
+                    "VecNormalize and VecTransposeImage above, and stack frames in the environment itself."
+                )
         self.n_primitive = checked_primitives("OptionsVecEnv", venv.action_space, gamma, max_runs)
         self.gamma = float(gamma)
         self.max_runs = max_runs
@@ -104,6 +119,7 @@ class OptionsVecEnv(VecEnvWrapper):
         self._observations: Any = None  # of the environments
         self._shown: Any = None  # the same, but of a waiting one the observation in which its option was chosen
         self._running: dict[int, tuple[Option, RunUnderWay]] = {}  # by environment
+        self._closed: set[int] = set()  # environments whose option was taken out of its slot while it runs
         self._memberships: dict[int, tuple[Option, BoolArray, FloatArray]] = {}  # by the option's id
         self._runs = np.zeros((self.num_envs, max_options), dtype=np.int64)
         self._actions = np.zeros(self.num_envs, dtype=np.int64)  # primitive ones, of the present step
@@ -139,6 +155,7 @@ class OptionsVecEnv(VecEnvWrapper):
         self._memberships.clear()
         emptied = [slot for slot, option in changes.get("options", {}).items() if option is None]
         self._runs[:, emptied] = 0
+        self._closed |= {env for env, (_, run) in self._running.items() if run.slot in emptied}
         if (now.record, now.max_segment) != (before.record, before.max_segment):
             self._recorders = [recorder_for(now.max_segment) for _ in range(self.num_envs if now.record else 0)]
             if self._observations is not None:
@@ -187,6 +204,7 @@ class OptionsVecEnv(VecEnvWrapper):
             one = batch_of_one(take(self._observations, 0))
             self.bank.feature_size = feature_maps.checked_size(self.features.map, one)
         self._running.clear()
+        self._closed.clear()
         self._runs[:] = 0
         self._begin_recording(range(self.num_envs))
         return self._shown
@@ -247,7 +265,7 @@ class OptionsVecEnv(VecEnvWrapper):
         self._record(given, led, dones, infos)
         self._observations = observations
         self._memberships.clear()
-        rewards = np.array(given)
+        rewards = np.array(given, dtype=np.result_type(np.asarray(given), np.float32))  # sums of whole ones are none
         endings: dict[int, Termination] = {}
         for env, (option, run) in self._running.items():
             run.add(int(self._actions[env]), given[env], take(led, env))
@@ -258,6 +276,7 @@ class OptionsVecEnv(VecEnvWrapper):
         self._report(endings, led, infos)
         for env in endings:
             del self._running[env]
+            self._closed.discard(env)
         self._runs[dones] = 0
         waits = np.zeros(self.num_envs, dtype=bool)
         waits[list(self._running)] = True
@@ -285,16 +304,16 @@ class OptionsVecEnv(VecEnvWrapper):
             info["option"] = RunInfo(info["option"], available=row[None])
         for env, (_, run) in self._running.items():
             last = None if arrived is None else arrived[env]
-            infos[env]["option"] = self._ended(run, endings[env], last) if env in endings else self._waits
+            infos[env]["option"] = self._ended(env, run, endings[env], last) if env in endings else self._waits
 
-    def _ended(self, run: RunUnderWay, why: Termination, last: BoolArray | None) -> RunInfo:
+    def _ended(self, env: int, run: RunUnderWay, why: Termination, last: BoolArray | None) -> RunInfo:
         """The info of a run that ended, with the slots available in the ``last`` observation."""
         available = None
         if last is not None:
             available = self.bank.available_slots(stack(run.observations[1:]))
             available[-1] = last
         ended = run.ended(why, available)
-        if self.bank[run.slot] is None:  # it was closed, and no one may learn of it
+        if env in self._closed:  # no one may learn of it, nor of the slot's next option by it
             return OptionRun(-1, ended.duration, ended.discount, ended.gamma, "running").as_info()
         return ended._replace(chosen=self.n_primitive + run.slot).as_info()
 
@@ -317,16 +336,23 @@ class OptionsVecEnv(VecEnvWrapper):
             self._recorders[env].begin(take(self._observations, env))
 
     def random_trajectories(self, episodes: int, seed: int) -> list[Trajectory]:
-        """The first episodes of random primitive actions to end; reset the environments afterwards."""
+        """Episodes of random primitive actions; reset the environments afterwards.
+
+        Of every environment the same number, because the first to end would be short ones.
+        """
+        before = self.slot_state
         self.seed(seed)
         self.set_slots(record=True, max_segment=None)
         random = np.random.default_rng(seed)
         self.reset()
-        trajectories: list[Trajectory] = []
-        while len(trajectories) < episodes:
+        of_each = math.ceil(episodes / self.num_envs)
+        trajectories: list[list[Trajectory]] = [[] for _ in range(self.num_envs)]
+        while min(map(len, trajectories)) < of_each:
             *_, infos = self.step(random.integers(self.n_primitive, size=self.num_envs))
-            trajectories += [info["trajectory"] for info in infos if "trajectory" in info]
-        return trajectories[:episodes]
+            for of_env, info in zip(trajectories, infos, strict=True):
+                of_env += [info["trajectory"]] if "trajectory" in info else []
+        self.set_slots(record=before.record, max_segment=before.max_segment)
+        return [of_env[i] for i in range(of_each) for of_env in trajectories][:episodes]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Whether each environment is in a wrapper; in `OptionsWrapper` all are, as far as anybody need know."""

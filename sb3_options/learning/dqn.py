@@ -63,6 +63,8 @@ class OptionDQN(MaskedPrediction, DQN):
         super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading
         self._untrained_steps = 0
         self._untrained_decisions = 0
+        self._owed = 0.0  # gradient steps, where environments wait
+        self._waits = False
         self._options_since = math.inf  # primitive steps in `_n_calls` at the first available option
 
     def _setup_model(self) -> None:
@@ -158,9 +160,15 @@ class OptionDQN(MaskedPrediction, DQN):
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
         """DQN's update with the maximum taken over available actions, as often for a primitive step as DQN makes it."""
         if self._untrained_decisions:
-            gradient_steps = round(gradient_steps * self._untrained_steps / self._untrained_decisions)
+            # Where environments wait for options to end, fewer steps than decisions are counted until one has.
+            self._waits = self._waits or self._untrained_steps < self._untrained_decisions
+            due = gradient_steps * self._untrained_steps / self._untrained_decisions + self._owed
+            gradient_steps = round(due)
+            self._owed = due - gradient_steps if self._waits else 0.0
             self._untrained_steps = 0
             self._untrained_decisions = 0
+            if not gradient_steps:
+                return
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         losses = []

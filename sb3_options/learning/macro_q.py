@@ -215,7 +215,7 @@ class MacroQ(MaskedPrediction):
             runs = [OptionRun.from_info(info) if "option" in info else None for info in infos]
             for i, info in enumerate(infos):
                 arrived = self._active(np.asarray(info["terminal_observation"])[None])[0] if over[i] else new_active[i]
-                ended = over[i] and not info["TimeLimit.truncated"]
+                ended = over[i] and not info.get("TimeLimit.truncated", False)
                 self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, runs[i])
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
             # After the update, so that a callback that stops training at the end of an episode loses no step.

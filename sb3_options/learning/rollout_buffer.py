@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Generator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_options.experience.observations import FloatArray
+from sb3_options.experience.observations import BoolArray, FloatArray
 from sb3_options.experience.option_run import OptionRun
 
 
@@ -72,12 +73,11 @@ def add_bonuses(buffer: RolloutBuffer, bonuses: FloatArray) -> None:
     over_options = buffer if isinstance(buffer, SMDPAdvantages) else None
     discounts = np.asarray(buffer.gamma) if over_options is None else over_options.discounts
     traces = buffer.gae_lambda if over_options is None else over_options.traces()
-    decides = 1.0 if over_options is None else over_options.decides()
     # After the last step nothing of the bonus follows, whether the episode ended there or not.
     goes_on = 1.0 - np.concatenate([buffer.episode_starts[1:], nothing[:1]])
     advantages = smdp_advantages(bonuses, nothing, nothing, discounts, goes_on, traces)
     buffer.rewards += bonuses.astype(np.float32)
-    buffer.advantages += (advantages * decides).astype(np.float32)
+    buffer.advantages += advantages.astype(np.float32)
     buffer.returns += advantages.astype(np.float32)
 
 
@@ -97,6 +97,14 @@ def normalized_rewards(
     return normalized
 
 
+class Choice(NamedTuple):
+    """What is learned of a choice that another row completes."""
+
+    action: npt.NDArray[Any]
+    log_prob: torch.Tensor
+    mask: npt.NDArray[Any] | None
+
+
 class SMDPAdvantages:
     """Advantages of a semi-Markov process for an SB3 rollout buffer, which comes after this class in the bases.
 
@@ -113,6 +121,7 @@ class SMDPAdvantages:
     n_primitive_steps: int | None = None
 
     durations: FloatArray
+    waits: bool = False  # whether environments wait for options to end, so that a row is a primitive step
 
     # Attributes of the SB3 buffer.
     buffer_size: int
@@ -125,6 +134,8 @@ class SMDPAdvantages:
     advantages: npt.NDArray[np.float32]
     returns: npt.NDArray[np.float32]
     pos: int
+    generator_ready: bool
+    _get_samples: Callable[..., Any]
 
     def reset(self) -> None:
         """Forget the last rollout."""
@@ -133,11 +144,11 @@ class SMDPAdvantages:
         shape: tuple[int, ...] | None = getattr(self, "hidden_state_shape", None)
         if shape is not None:  # RecurrentPPO's buffer keeps an LSTM state for each row
             self.hidden_state_shape = (self.buffer_size, *shape[1:])
-        # Which environments wait when the rollout begins.
-        self._waited = self.durations[-1] == 0 if hasattr(self, "durations") else np.zeros(self.n_envs, dtype=bool)
         self.durations = np.ones((self.buffer_size, self.n_envs))
+        self._learned_from: BoolArray = np.ones((self.buffer_size, self.n_envs), dtype=bool)
         self.discounts = np.full((self.buffer_size, self.n_envs), self.gamma)
         self._expected: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None = None
+        self._choices: dict[int, Choice] = getattr(self, "_choices", {})  # a rollout may end while options run
         super().reset()  # type: ignore[misc]  # the SB3 buffer's
 
     def expect(
@@ -154,6 +165,7 @@ class SMDPAdvantages:
         discounts = np.array([run.discount for run in runs], dtype=np.float64)
         given = np.array(rewards, dtype=np.float64)
         self._expected = given, normalized_rewards(rewards, runs, normalizer), durations, discounts
+        self._learned_from[self.pos] = [run.termination != "running" for run in runs]
 
     def add(self, *args: Any, **kwargs: Any) -> None:
         """Store one step of every environment."""
@@ -163,12 +175,39 @@ class SMDPAdvantages:
                 "SubgoalDiscoveryCallback() to learn()."
             )
         (given, plain, durations, discounts), self._expected = self._expected, None
-        observations, actions, rewards, *others = args
+        observations, actions, rewards, starts, values, log_probs, *others = args
+        if self._choices or not durations.all():
+            self.waits = True
+            masks = kwargs.get("action_masks")
+            actions, log_probs = np.array(actions), log_probs.clone()
+            kwargs |= {} if masks is None else {"action_masks": np.array(masks)}
+            self._swap_choices(durations == 0, starts, actions, log_probs, kwargs.get("action_masks"))
         bootstrap = np.asarray(rewards, dtype=np.float64) - given
         rewards = plain + bootstrap * discounts / self.gamma
         self.durations[self.pos] = durations
         self.discounts[self.pos] = discounts
-        super().add(observations, actions, rewards, *others, **kwargs)  # type: ignore[misc]  # the SB3 buffer's
+        super().add(observations, actions, rewards, starts, values, log_probs, *others, **kwargs)  # type: ignore[misc]  # the SB3 buffer's
+
+    def _swap_choices(
+        self,
+        waits: BoolArray,
+        starts: npt.NDArray[Any],
+        actions: npt.NDArray[Any],
+        log_probs: torch.Tensor,
+        masks: npt.NDArray[Any] | None,
+    ) -> None:
+        """Keep what is chosen where an option begins, and put it into the row where it ends, in place."""
+        for env in range(self.n_envs):
+            if starts[env]:
+                self._choices.pop(env, None)  # the environment was reset
+            if waits[env]:
+                mask = None if masks is None else masks[env].copy()
+                self._choices.setdefault(env, Choice(actions[env].copy(), log_probs[env].clone(), mask))
+            elif env in self._choices:
+                choice = self._choices.pop(env)
+                actions[env], log_probs[env] = choice.action, choice.log_prob
+                if masks is not None:
+                    masks[env] = choice.mask
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: npt.NDArray[Any]) -> None:
         """`smdp_advantages` of the rollout; returns are advantages plus values."""
@@ -183,22 +222,39 @@ class SMDPAdvantages:
             1.0 - ended,
             self.traces(),
         )
-        self.advantages[:] = advantages * self.decides()
+        self.advantages[:] = advantages
         self.returns[:] = advantages + values
 
     def traces(self) -> FloatArray | float:
         """λ of each transition: 1 where an environment waits for its option to end (`OptionsVecEnv`).
 
-        Such a row has no reward, γ⁰ = 1 and the observation of the row before, so that the decision before it has the
-        advantage that it would have with the whole option in one row.
+        Such a row has no reward, γ⁰ = 1 and the observation of the next one, so that it hands the advantage of the row
+        where the option ends to the decision before.
         """
         waits = self.durations == 0
         return np.where(waits, 1.0, self.gae_lambda) if waits.any() else self.gae_lambda
 
-    def decides(self) -> FloatArray:
-        """1 where an action counted, 0 where an option went on that an earlier row had chosen."""
-        waited = np.concatenate([self._waited[None], self.durations[:-1] == 0])
-        return 1.0 - waited
+    def get(self, batch_size: int | None = None) -> Generator[Any, None, None]:
+        """Minibatches of the rollout, without rows in which an environment waited for its option to end.
+
+        An option is learned from in the row where it ends, with the action, the probability and the mask of the row in
+        which it was chosen.
+        """
+        rows = self._learned_from.T.ravel().nonzero()[0]  # as SB3 lays them out: one environment after another
+        if len(rows) == self._learned_from.size:
+            yield from super().get(batch_size)  # type: ignore[misc]  # the SB3 buffer's
+            return
+        if not self.generator_ready:
+            next(super().get(1))  # type: ignore[misc]  # lays them out
+        if not len(rows):  # nothing ended, and a row without advantage teaches nothing
+            rows = np.arange(1)
+            self.advantages[:1] = 0.0
+            self.returns[:1] = self.values[:1]
+        rows = np.random.permutation(rows)  # noqa: NPY002  # SB3 seeds and draws from this generator
+        if len(rows) == 1:
+            rows = rows.repeat(2)  # advantages are divided by their spread, and a single one has none
+        for minibatch in np.array_split(rows, math.ceil(len(rows) / (batch_size or len(rows)))):
+            yield self._get_samples(minibatch)
 
 
 class OptionRolloutBuffer(SMDPAdvantages, RolloutBuffer):

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionReplayBuffer, OptionRolloutBuffer, OptionsVecEnv, OptionsWrapper
@@ -17,6 +18,7 @@ from sb3_options.envs.minigrid import MiniGridWrapper
 from sb3_options.experience.observations import flatten, take
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.experience.trajectories import Trajectory
+from sb3_options.learning.rollout_buffer import SMDPAdvantages
 from tests.support.helpers import CountingEnv, equal, steady_option
 from tests.support.sb3_helpers import TAXI, small_rooms
 
@@ -205,34 +207,66 @@ def test_a_replay_buffer_gets_the_same_rows() -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_rollout_buffer_gives_every_decision_the_same_advantage() -> None:
-    size = 300
-    found = []
+class Buffer(SMDPAdvantages, MaskableRolloutBuffer):
+    """As MaskablePPO's becomes."""
+
+
+def test_a_rollout_buffer_learns_of_the_same_decisions() -> None:
+    n_steps, learned = 40, []
     for venv in both(lambda: CountingEnv(4, terminate_at=17), n_envs=1):
         options = {0: arbitrary_option(4, "one", max_duration=6), 1: arbitrary_option(4, "other", max_duration=3)}
         venv.env_method("set_slots", options=options, expect_empty=True)
-        buffer = OptionRolloutBuffer(size, venv.observation_space, venv.action_space, gamma=GAMMA, gae_lambda=0.8)
+        buffer = Buffer(n_steps, venv.observation_space, venv.action_space, gamma=GAMMA, gae_lambda=0.8)
         venv.seed(5)
-        observations, n_decisions, started = venv.reset(), 0, np.ones(1)
-        decides, waited = [], False
-        while buffer.pos < size:
-            (mask,) = venv.env_method("action_masks")
-            allowed = np.flatnonzero(mask)
-            action = np.array([allowed[(digest(observations, "choice")[0] + n_decisions) % len(allowed)]])
-            later, rewards, dones, infos = venv.step(action)
-            decides.append(not waited)
-            waited = infos[0]["option"]["termination"] == "running"
-            n_decisions += not waited
-            buffer.expect(rewards, [OptionRun.from_info(info) for info in infos])
-            value = torch.as_tensor(digest(observations, "value") % 100 / 100.0)
-            buffer.add(observations, action, rewards, started, value, torch.zeros(1))
-            observations, started = later, dones.astype(float)
-        buffer.compute_returns_and_advantage(torch.zeros(1), dones)
-        found.append((buffer.advantages[decides, 0], buffer.returns[decides, 0], buffer.advantages[:, 0]))
-    n = len(found[1][0]) - 60  # the last decisions see another end of the rollout
-    assert n > 40
-    np.testing.assert_allclose(found[0][0][:n], found[1][0][:n], rtol=1e-5)
-    np.testing.assert_allclose(found[0][1][:n], found[1][1][:n], rtol=1e-5)
+        observations: Any = venv.reset()
+        n_decisions, started = 0, np.ones(1)
+        kept: list[Any] = []
+        for _ in range(10):
+            buffer.reset()
+            while buffer.pos < n_steps:
+                (mask,) = venv.env_method("action_masks")
+                allowed = np.flatnonzero(mask)
+                action = np.array([allowed[(digest(observations, "choice")[0] + n_decisions) % len(allowed)]])
+                later, rewards, dones, infos = venv.step(action)
+                run = OptionRun.from_info(infos[0])
+                buffer.expect(rewards, [run])
+                value = torch.as_tensor(digest(observations, "value") % 100 / 100.0)
+                chance = torch.tensor([float(n_decisions)])  # other numbers for other decisions
+                waiting = run.chosen is not None and run.duration > 1
+                given = np.zeros_like(action) if waiting else action  # without masks anything may be chosen there
+                buffer.add(observations, given[:, None], rewards, started, value, chance, action_masks=mask[None])
+                observations, started = later, dones.astype(float)
+                n_decisions += run.termination != "running"
+            buffer.compute_returns_and_advantage(torch.zeros(1), dones)
+            (batch,) = buffer.get()
+            order = np.argsort(batch.old_log_prob.numpy())
+            kept.append([part.numpy()[order] for part in batch])
+        venv.close()
+        learned.append([np.concatenate(parts) for parts in zip(*kept, strict=True)])
+    n = min(len(parts[0]) for parts in learned)
+    assert n > 120
+    for name, one, other in zip(batch._fields, *learned, strict=True):
+        if name in ("advantages", "returns"):  # those near the end of a rollout see less of what follows
+            assert np.isclose(one[:n], other[:n], rtol=1e-4, atol=1e-4).mean() > 0.5
+        elif name == "old_log_prob":
+            np.testing.assert_array_equal(other[:n], np.arange(n))
+        else:
+            np.testing.assert_array_equal(one[:n], other[:n], err_msg=name)
+
+
+def test_a_rollout_in_which_nothing_ends_teaches_nothing() -> None:
+    venv = OptionsVecEnv(DummyVecEnv([lambda: CountingEnv(2)]), 1, gamma=GAMMA)
+    venv.set_slots(options={0: steady_option(1, max_duration=50)})
+    buffer = OptionRolloutBuffer(4, venv.observation_space, venv.action_space, gamma=GAMMA)
+    observations: Any = venv.reset()
+    for _ in range(4):
+        later, rewards, dones, infos = venv.step(np.array([2]))
+        buffer.expect(rewards, [OptionRun.from_info(infos[0])])
+        buffer.add(observations, np.array([[2]]), rewards, np.zeros(1), torch.ones(1), torch.zeros(1))
+        observations = later
+    buffer.compute_returns_and_advantage(torch.ones(1), dones)
+    (batch,) = buffer.get()
+    assert (batch.advantages.tolist(), batch.returns.tolist()) == ([0.0] * 2, batch.old_values.tolist())
 
 
 def test_options_that_are_closed_or_replaced_while_they_run_go_on_to_their_end() -> None:
@@ -242,6 +276,7 @@ def test_options_that_are_closed_or_replaced_while_they_run_go_on_to_their_end()
     infos = venv.step(np.array([2, 3]))[-1]
     assert [info["option"]["duration"] for info in infos] == [0, 0]
     venv.set_slots(options={0: None, 1: steady_option(0, max_duration=2)})
+    venv.set_slots(options={0: steady_option(0, max_duration=2)})  # another one
     assert venv.action_masks().tolist() == [[False, False, True, False], [False, False, False, True]]
     venv.step(np.array([0, 0]))
     _, rewards, _, infos = venv.step(np.array([0, 0]))
@@ -253,7 +288,22 @@ def test_options_that_are_closed_or_replaced_while_they_run_go_on_to_their_end()
     np.testing.assert_allclose(rewards, 1 + GAMMA * 2 + GAMMA**2 * 3)
 
 
+def test_sums_of_whole_rewards_are_not_cut() -> None:
+    class Whole(DummyVecEnv):
+        def step_wait(self) -> Any:
+            observations, rewards, dones, infos = super().step_wait()
+            return observations, rewards.astype(np.int64), dones, infos
+
+    venv = OptionsVecEnv(Whole([lambda: CountingEnv(2)]), 1, gamma=GAMMA)
+    venv.set_slots(options={0: steady_option(max_duration=2)})
+    venv.reset()
+    venv.step(np.array([2]))
+    assert venv.step(np.array([2]))[1].tolist() == [1 + GAMMA * 2]
+
+
 def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(ValueError, match="VecNormalize beneath OptionsVecEnv"):
+        OptionsVecEnv(VecNormalize(DummyVecEnv([CountingEnv])))
     continuous = DummyVecEnv([lambda: gym.make("Pendulum-v1")])
     with pytest.raises(TypeError, match="OptionsVecEnv needs a Discrete action space"):
         OptionsVecEnv(continuous)

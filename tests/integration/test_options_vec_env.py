@@ -3,15 +3,23 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from sb3_contrib import QRDQN, TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
 
 from benchmarks.vec_grid import VecGridWorld
 from sb3_options import MacroQ, OptionDQN, OptionsVecEnv, load_model
-from sb3_options.callbacks import CheckpointCallback, IntrinsicRewardCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import (
+    CheckpointCallback,
+    IntrinsicRewardCallback,
+    PrimitiveStepsCallback,
+    SubgoalDiscoveryCallback,
+)
+from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import FAST_DISCOVERY, RANDOM, SMALL_ROOMS, env_of
 
 N_ENVS = 8
@@ -87,6 +95,43 @@ def test_a_bonus_is_given_once_for_each_primitive_step() -> None:
     assert sum(bonus.novelty.visits.values()) == runs.reported  # type: ignore[union-attr]  # it counts states
 
 
+@pytest.mark.parametrize("kind", ["counts", "rnd"])
+def test_a_bonus_survives_steps_in_which_every_environment_waits(kind: Any) -> None:
+    venv = OptionsVecEnv(DummyVecEnv([lambda: CountingEnv(2, truncate_at=60)]), 1, gamma=GAMMA)
+    venv.set_slots(options={0: steady_option(1, max_duration=20)})
+    model = MaskablePPO("MlpPolicy", venv, gamma=GAMMA, seed=0, n_steps=32, batch_size=32)
+    bonus = IntrinsicRewardCallback(kind)
+    model.learn(600, callback=[PrimitiveStepsCallback(primitive_rollouts=True), bonus])
+    assert bonus.scale is not None
+    assert np.isfinite(bonus.scale.std)
+    assert model.n_steps == 32
+
+
+def test_gradient_steps_keep_their_pace_per_primitive_step() -> None:
+    venv = OptionsVecEnv(DummyVecEnv([lambda: CountingEnv(2, truncate_at=60)] * 2), 1, gamma=GAMMA)
+    venv.set_slots(options={0: steady_option(1, max_duration=20)})
+    model = OptionDQN(
+        "MlpPolicy", venv, gamma=GAMMA, seed=0, learning_starts=0, train_freq=1, gradient_steps=1, **RANDOM
+    )
+    runs = Runs()
+    model.learn(3000, callback=[PrimitiveStepsCallback(), runs])
+    assert len(runs.options) > 5
+    assert model._n_updates == pytest.approx(model.num_timesteps / 2, rel=0.02)
+
+
+def test_stacked_frames_above_are_refused() -> None:
+    model = MaskablePPO("MlpPolicy", VecFrameStack(make_env(), 2), gamma=GAMMA)
+    with pytest.raises(ValueError, match="VecFrameStack above OptionsVecEnv"):
+        model.learn(100, callback=SubgoalDiscoveryCallback())
+
+
+def test_demonstrations_leave_segments_as_they_were() -> None:
+    venv = make_env()
+    venv.set_slots(record=True, max_segment=40)
+    assert max(map(len, venv.random_trajectories(9, 0))) > 40
+    assert (venv.slot_state.record, venv.slot_state.max_segment) == (True, 40)
+
+
 def test_a_saved_model_brings_its_options_along(tmp_path: Path) -> None:
     model = MaskablePPO("MlpPolicy", make_env(), gamma=GAMMA, seed=0, n_steps=32, batch_size=64)
     discovery = SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=1)
@@ -100,6 +145,9 @@ def test_a_saved_model_brings_its_options_along(tmp_path: Path) -> None:
 
 def test_demonstrations_get_failures_from_random_actions() -> None:
     random = make_env(0)
+    walks = random.random_trajectories(20, 3)
+    assert len(walks) == 20
+    assert sum(each.truncated for each in walks) >= 5  # the first 20 to end would be successes alone
     successes = [each for each in random.random_trajectories(400, 3) if each.is_success][:5]
     model = MaskablePPO("MlpPolicy", make_env(), gamma=GAMMA, seed=0, n_steps=32, batch_size=64)
     settings = {**FAST_DISCOVERY, "min_positive": 2}
