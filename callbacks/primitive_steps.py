@@ -73,7 +73,8 @@ class PrimitiveStepsCallback(BaseCallback):
     ``train_freq``, ``target_update_interval`` and ``eval_freq`` of an ``EvalCallback`` still count decisions, and so
     does ``n_steps``, unless ``primitive_rollouts`` says otherwise. A rollout may be many more primitive steps. Hence
     on-policy training ends in the middle of one when the budget is used up (SB3's last rollout is counted in full, as
-    if every action were one step); that rollout is not learned from. No schedule sees a progress below 0.
+    if every action were one step); that rollout is not learned from. No schedule sees a progress below 0. Over
+    `OptionsVecEnv` all of these count primitive steps.
 
     Args:
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps: a rollout has as many

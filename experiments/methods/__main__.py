@@ -19,7 +19,7 @@ from rich.table import Table
 from experiments.common.documents import number
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.methods.conditions import LENGTHS, MACROQ, SETTINGS, Entry, length_of, run
+from experiments.methods.conditions import EVALUATE_EVERY, LENGTHS, MACROQ, SETTINGS, Entry, length_of, run
 from experiments.methods.entrants import ENTRANTS, POSSIBLE, all_settings_of, chosen_settings
 from experiments.methods.plots import draw
 from experiments.methods.summary import over_tasks, summarise
@@ -110,7 +110,9 @@ def main(study: Study) -> None:
 
 def _learner(learner: str) -> dict[str, Any]:
     """What the results of a learner depend on."""
-    return dict(MACROQ) if learner == "macroq" else SETTINGS.of(learner, "options")
+    if learner == "macroq":
+        return dict(MACROQ)
+    return {**SETTINGS.of(learner, "options"), "evaluate_every": EVALUATE_EVERY[learner]}
 
 
 def table(task: str, learner: str, summary: dict[str, dict[str, Any]]) -> Table:

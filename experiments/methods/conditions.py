@@ -36,8 +36,12 @@ PIONEER_LENGTH = 10_000
 
 MACROQ: dict[str, Any] = {"learning_rate": 0.1, "epsilon": 0.1}
 
-SETTINGS = DeepSettings(both_as="stock", max_new_options=4)
-"""Those of `experiments.deep`. Of the algorithms it takes those that were chosen without options: they favour none."""
+SETTINGS = DeepSettings(both_as="stock", max_new_options=4, max_option_exploration={"dqn": 0.5, "ppo": 0.5})
+"""Those of `experiments.deep`, but for the library's own `OptionUse.max_option_exploration`. Of the algorithms it takes
+those that were chosen without options: they favour none."""
+
+EVALUATE_EVERY = {"dqn": 100, "ppo": 100}
+"""Primitive steps between evaluations of deep learners: with options they learn some tasks in 500 steps."""
 
 DECIDED = ("subgoal", "left_initiation", "max_duration")
 """How runs end that neither the episode nor a better choice cut off."""
@@ -161,7 +165,8 @@ def train(
     limited = {**kwargs, "max_steps": step_limit(task, kwargs)}
     evaluated = make_envs(entry, task, limited, EVAL_SEED + seed, task.evaluation_episodes, options)
     discovery = make_discovery(entry, task, seed, discovers=options is None)
-    evaluations = TimedEvaluations(evaluated, task.evaluate_every, 0, EVAL_SEED + seed)
+    every = EVALUATE_EVERY.get(entry.learner, task.evaluate_every)
+    evaluations = TimedEvaluations(evaluated, every, 0, EVAL_SEED + seed)
     use = OptionUse()
     model = make_learner(entry, venv, seed)
     began = time.process_time()
