@@ -37,6 +37,7 @@ def venv_of(
     slots: int = 0,
     options: Path | None = None,
     by_hand: MadeBy | None = None,
+    with_features: bool = False,
 ) -> VecEnv:
     """Parallel environments of one task.
 
@@ -48,9 +49,11 @@ def venv_of(
         slots: For options.
         options: File of the options they begin with.
         by_hand: Makes options, as many as there are slots, from φ.
+        with_features: Whether the agent sees φ, too.
     """
 
     def wrapped(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        env = ConceptsInObservation(env) if with_features else env
         if not slots:
             return env
         optioned = OptionsWrapper(env, slots, gamma=settings.GAMMA, options_file=options)
@@ -66,6 +69,26 @@ def venv_of(
         return make(task, mission=task not in settings.WITHOUT_MISSION, asked=False)
 
     return make_vec_env(made, n_envs, seed=seed, wrapper_class=wrapped)
+
+
+class ConceptsInObservation(gym.ObservationWrapper[Any, Any, Any]):
+    """Puts φ beside the observation."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        assert env.observation_space.shape is not None  # a vector
+        self._n = env.observation_space.shape[0]
+        n = self._n + len(env.get_wrapper_attr("feature_names"))
+        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (n,), np.float32)
+
+    def observation(self, observation: Any) -> npt.NDArray[np.float32]:
+        """The observation, and φ."""
+        features = self.env.get_wrapper_attr("concept_features")(observation[None])[0]
+        return np.concatenate([observation, features]).astype(np.float32)
+
+    def concept_features(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """φ of a batch of such observations."""
+        return observations[:, self._n :].astype(np.float64)
 
 
 def normalised(venv: VecEnv, before: VecEnv | None, *, training: bool = True) -> VecNormalize:

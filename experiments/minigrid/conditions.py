@@ -82,6 +82,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
     slots = settings.max_options(family) if arm in WITH_OPTIONS else 0
     n_envs = settings.ZOO_N_ENVS if arm == ZOO_ARM else settings.N_ENVS
     how: dict[str, Any] = {"n_envs": n_envs, "slots": slots, "by_hand": _by_hand(arm)}
+    how["with_features"] = arm in settings.WITH_FEATURES
     stages = stages_of(family, arm)
     before: VecEnv | None = None
     with tempfile.TemporaryDirectory() as folder:

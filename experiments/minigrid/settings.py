@@ -6,21 +6,23 @@ from typing import Any, Literal, NamedTuple, get_args
 
 Arm = Literal[
     "discovered", "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
+    "discovered with φ, RND at first", "discovered with φ, RND before the last",
     "random subgoals", "random subgoals, RND at first", "random subgoals, RND before the last",
     "contrasting subgoals", "contrasting subgoals, RND at first", "contrasting subgoals, RND before the last",
     "hand-made", "hand-made subgoals", "hand-made subgoals, 3 cells", "hand-made subgoals, 2 cells",
     "stock, curriculum", "stock, RND", "stock, RND at first", "stock, RND before the last",
+    "stock with φ", "stock with φ, RND at first", "stock with φ, RND before the last",
     "stock, rl-zoo3's settings", "stock",
 ]  # fmt: skip
 ARMS: tuple[Arm, ...] = get_args(Arm)
 """``stock``: PPO in the last task alone, for the frames of all stages. All others go through all stages and take the
-weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus for
-what is new in each task. ``discovered``: with options that are discovered in the stages before the last, and kept;
-``discovered, RND``: with the bonus. ``RND at first``: with the bonus in the first task alone; ``RND before the last``:
-in all but the last. ``random subgoals``: as ``discovered``, but subgoals
-are drawn, not found; ``contrasting subgoals``: drawn from what successes visit oftener than failures. ``hand-made``:
-options by hand from the first step on, the bound. ``hand-made subgoals``: by hand, to the subgoals that discovery finds
-in rooms, from wherever they are in view, or from so many cells away."""
+weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus
+for what is new in each task. ``with φ``: the agent sees φ beside the observation. ``discovered``: with options that
+are discovered in the stages before the last, and kept; ``discovered, RND``: with the bonus. ``RND at first``: with
+the bonus in the first task alone; ``RND before the last``: in all but the last. ``random subgoals``: as
+``discovered``, but subgoals are drawn, not found; ``contrasting subgoals``: drawn from what successes visit oftener
+than failures. ``hand-made``: options by hand from the first step on, the bound. ``hand-made subgoals``: by hand, to
+the subgoals that discovery finds in rooms, from wherever they are in view, or from so many cells away."""
 
 RANDOM: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("random"))
 CONTRASTING: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("contrasting"))
@@ -30,6 +32,7 @@ HAND_MADE: dict[Arm, int | None] = {
 }  # fmt: skip
 """From how many cells away options by hand to the subgoals begin; None from wherever these are in view."""
 
+WITH_FEATURES: tuple[Arm, ...] = tuple(arm for arm in ARMS if "with φ" in arm)
 WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made", *HAND_MADE)
 BONUS_AT_FIRST: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.endswith("RND at first"))
 BONUS_BEFORE_LAST: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.endswith("RND before the last"))
@@ -183,6 +186,8 @@ def of(arm: Arm, family: str) -> dict[str, Any]:
         special |= {"discovers_in": "all stages but the last"}
     if arm in (*RANDOM, *CONTRASTING):
         special |= {"subgoals": "drawn" if arm in RANDOM else "drawn from what contrasts"}
+    if arm in WITH_FEATURES:
+        special |= {"observation": "with φ"}
     if arm in WITH_BONUS:
         special |= {"rnd_weight": RND_WEIGHT}
     if arm == ZOO_ARM:

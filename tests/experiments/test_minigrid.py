@@ -46,6 +46,18 @@ def test_hand_made_options_solve_a_small_task_by_themselves() -> None:
     assert agents.success_rate(agents.uniform(0), venv, 0) > 0.5  # primitives alone: 0.02
 
 
+def test_an_agent_with_features_sees_what_discovery_sees() -> None:
+    venvs = [agents.venv_of("MiniGrid-DoorKey-5x5-v0", 0, slots=1, with_features=seen) for seen in (False, True)]
+    plain, seen = (venv.reset() for venv in venvs)
+    assert isinstance(plain, np.ndarray)
+    assert isinstance(seen, np.ndarray)
+    features = [
+        venv.env_method("concept_features", of, indices=[0])[0] for venv, of in zip(venvs, (plain, seen), strict=True)
+    ]
+    assert np.array_equal(seen, np.hstack([plain, features[0]]))
+    assert np.array_equal(*features)
+
+
 def curve(*points: tuple[int, float], **more: Any) -> dict[str, Any]:
     taken = {"option_runs": {}, "seconds": 1.0, "processor_seconds": 0.5}
     return {"curve": [list(point) for point in points], **taken, **more}
