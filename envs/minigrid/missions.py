@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sb3_options.envs.minigrid.retina import BALL, BOX, DOOR, KEY
+from sb3_options.envs.minigrid.retina import BALL, BOX, DOOR, KEY, MOST_ASKED
 
 MAX_MISSIONS = 4096
 """Most missions of one environment that are told apart."""
@@ -58,6 +58,11 @@ class Missions:
         """Length of a code."""
         return int(self.codes.shape[1])
 
+    @property
+    def n_things(self) -> int:
+        """How many things each may name, k."""
+        return int(self.things.shape[1])
+
     def code(self, text: str) -> Vector | None:
         """The code of a mission, (w,); None if it is unknown."""
         number = self._number.get(text)
@@ -94,6 +99,6 @@ def _listed(space: Any) -> tuple[Vector, list[str]]:
 
 
 def _things(text: str) -> list[tuple[int, int]]:
-    """The things that a mission names by colour, in order, each once."""
+    """The first things that a mission names by colour, in order, each once."""
     found = [(NAMED.get(name, 0), COLOURS.index(colour)) for colour, name in _THING.findall(text)]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(found))[:MOST_ASKED]

@@ -11,8 +11,9 @@ import numpy.typing as npt
 from gymnasium.utils import RecordConstructorArgs
 
 from sb3_options.envs.minigrid.cells import COLOURS, DEPTH, OBJECTS, STATES
+from sb3_options.envs.minigrid.instructions import Instructions
 from sb3_options.envs.minigrid.missions import Missions
-from sb3_options.envs.minigrid.retina import concept_groups, feature_names, retina
+from sb3_options.envs.minigrid.retina import MOST_ASKED, concept_groups, feature_names, retina
 from sb3_options.envs.minigrid.view import see_quickly
 
 OTHER_IMAGES = (
@@ -45,7 +46,7 @@ class MiniGridWrapper(
         mission: Whether the words of the mission are in the observation. Without them a model can go on in a task whose
             missions are others.
         asked: Whether φ says where the things are that the mission names by their colour, "the red ball". Without the
-            words of the mission it cannot.
+            words of the mission these features are 0.
 
     Attributes:
         feature_names: Of φ, in order.
@@ -61,9 +62,11 @@ class MiniGridWrapper(
         space: Any = env.observation_space
         self._view = _view_of(env)
         _check_rewards(env)
-        self._missions = Missions(space["mission"] if mission and "mission" in space.spaces else None)
-        self._n_asked = self._missions.things.shape[1] if asked else 0
-        self.feature_names = feature_names(self._n_asked)
+        missions = space["mission"] if mission and "mission" in space.spaces else None
+        is_babyai = type(missions).__name__ == "BabyAIMissionSpace"  # of a module that takes long to import
+        self._missions = Instructions() if is_babyai else Missions(missions)
+        self._n_asked = self._missions.n_things if asked else 0
+        self.feature_names = feature_names(MOST_ASKED if asked else 0)
         see_quickly(env.unwrapped)
         self._n_cells = self._view**2 * DEPTH
         n_numbers = self._n_cells + self._missions.n_words
@@ -78,8 +81,8 @@ class MiniGridWrapper(
         words = self._missions.code(observation["mission"])
         if words is None:
             raise ValueError(
-                f"The mission {observation['mission']!r} is none that {self.unwrapped} lists. Leave it out by "
-                "mission=False, with train.py --env-kwargs mission:False."
+                f"The words of the mission {observation['mission']!r} of {self.unwrapped} are unknown. Leave them out "
+                "by mission=False, with train.py --env-kwargs mission:False."
             )
         return np.concatenate([cells, words])
 
@@ -106,11 +109,16 @@ class MiniGridWrapper(
         return (flat @ _WORTH).reshape(-1, self._view, self._view, 3)
 
     def concept_features(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        """φ of a batch of observations: the `retina` of their images, (batch, 27), and what the mission asks for."""
-        images = self.images(observations)
-        if not self._n_asked:
-            return retina(images)
-        return retina(images, self._missions.things_of(np.asarray(observations)[:, self._n_cells :]))
+        """φ of a batch of observations: the `retina` of their images, and of up to three things of the mission.
+
+        Returns:
+            (batch, 36); (batch, 27) without ``asked``. Features of things that no mission of the task names are 0.
+        """
+        words = np.asarray(observations)[:, self._n_cells :]
+        seen = retina(self.images(observations), self._missions.things_of(words) if self._n_asked else None)
+        features = np.zeros((len(seen), len(self.feature_names)))
+        features[:, : seen.shape[1]] = seen
+        return features
 
     def concept_groups(self) -> list[dict[str, Any]]:
         """Which features of φ make a concept together."""

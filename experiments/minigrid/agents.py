@@ -53,7 +53,7 @@ def venv_of(
     """
 
     def wrapped(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        env = ConceptsInObservation(env) if with_features else env
+        env = FeaturesBeside(env) if with_features else env
         if not slots:
             return env
         optioned = OptionsWrapper(env, slots, gamma=settings.GAMMA, options_file=options)
@@ -71,7 +71,7 @@ def venv_of(
     return make_vec_env(made, n_envs, seed=seed, wrapper_class=wrapped)
 
 
-class ConceptsInObservation(gym.ObservationWrapper[Any, Any, Any]):
+class FeaturesBeside(gym.ObservationWrapper[Any, Any, Any]):
     """Puts φ beside the observation."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:

@@ -91,10 +91,10 @@ def train(study: Study, task: str, frames: int, seed: int, options: Path | None,
     def wrapped(env: Any) -> OptionsWrapper:
         return OptionsWrapper(env, 4, gamma=0.99, options_file=options)
 
-    venv = make_vec_env(lambda: make(task, asked=False), 8, seed=seed, wrapper_class=wrapped)
+    venv = make_vec_env(lambda: make(task), 8, seed=seed, wrapper_class=wrapped)
     how: dict[str, Any] = {"n_steps": 128, "batch_size": 256, "n_epochs": 4, "learning_rate": 1e-3, "ent_coef": 0.01}
     model = MaskablePPO("MlpPolicy", venv, gamma=0.99, seed=seed, device="cpu", **how)
-    env = wrapped(make(task, asked=False))
+    env = wrapped(make(task))
     shown = record_demonstrations(env, bot_of(env), study.shown, seed=FIRST_SEED + 1000 * seed) if study.shown else None
     judging = {} if study.judge else {"min_reached": 0}
     discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness=judging, demonstrations=shown)

@@ -12,9 +12,10 @@ from minigrid.core.world_object import Lava
 from stable_baselines3 import PPO
 
 from sb3_options import OptionsWrapper
-from sb3_options.envs.minigrid import FEATURES, MiniGridWrapper, make
+from sb3_options.envs.minigrid import FEATURES, MiniGridWrapper, make, retina
 from sb3_options.envs.minigrid.cells import OBJECTS
 from sb3_options.envs.minigrid.cnn import MiniGridCNN
+from sb3_options.envs.minigrid.instructions import Instructions
 from sb3_options.envs.minigrid.missions import Missions
 
 IDS = sorted(
@@ -32,7 +33,8 @@ def test_every_environment_is_one_vector(env_id: str) -> None:
     assert env.concept_features(observation[None]).shape == (1, len(env.feature_names))
     used = {n for group in env.concept_groups() for n in (*group["features"], *group["seen"]["features"])}
     unused = {n for n, name in enumerate(FEATURES) if name == "wall_ahead" or name.startswith("lava")}
-    assert used == set(range(len(env.feature_names))) - unused
+    named = [group for group in env.concept_groups() if group["name"].startswith("asked")]
+    assert used == set(range(len(FEATURES) + 3 * len(named))) - unused
 
 
 def test_without_the_mission_a_model_can_go_on_in_a_task_with_another() -> None:
@@ -115,7 +117,19 @@ def test_what_the_mission_asks_for_is_told_by_colour() -> None:
     assert env.concept_groups()[-1]["name"] == "asked"
     assert env.concept_groups()[-1]["seen"]["coordinates"] == [28, 29]
     assert make("MiniGrid-Fetch-8x8-N3-v0", asked=False).feature_names == FEATURES
-    assert make("MiniGrid-Fetch-8x8-N3-v0", mission=False).feature_names == FEATURES
+
+
+def test_features_are_the_same_in_every_task() -> None:
+    named = make("MiniGrid-RedBlueDoors-6x6-v0")
+    assert len(named.feature_names) == 36
+    assert len(named.concept_groups()) == len(make("MiniGrid-Empty-5x5-v0").concept_groups()) + 2
+    for env in (make("MiniGrid-Fetch-8x8-N3-v0", mission=False), make("MiniGrid-Empty-5x5-v0")):
+        assert env.feature_names == named.feature_names
+        observation, _ = env.reset(seed=0)
+        for batch in (observation[None], np.stack([observation] * 3)):
+            features = env.concept_features(batch)
+            assert np.array_equal(features[:, :27], retina(env.images(batch)))
+            assert not features[:, 27:].any()
 
 
 @pytest.mark.parametrize(
@@ -140,6 +154,63 @@ def test_things_that_missions_name(env_id: str, mission: str | None, things: lis
     assert missions.things_of(code[None]).tolist() == [list(map(list, things))]
     if mission is not None:
         assert missions.things_of(np.ones_like(code)[None]).tolist() == [[[0, -1]] * len(things)]
+
+
+@pytest.mark.parametrize(
+    ("mission", "things"),
+    [
+        ("go to the red ball", [(6, 0), (0, -1)]),
+        ("pick up a grey object behind you", [(0, 5), (0, -1)]),
+        ("put the ball on your left next to a green box", [(0, -1), (7, 1)]),
+        ("open a door, then go to the red key", [(0, -1), (0, -1)]),
+        ("go to the red key after you open a blue door and pick up a box", [(4, 2), (0, -1)]),
+    ],
+)
+def test_things_that_an_instruction_names(mission: str, things: list[tuple[int, int]]) -> None:
+    code = Instructions().code(mission)
+    assert code is not None
+    assert Instructions().things_of(code[None]).tolist() == [list(map(list, things))]
+
+
+def test_instructions_in_the_order_in_which_they_are_followed() -> None:
+    codes = [
+        Instructions().code(mission)
+        for mission in (
+            "go to the red key after you open a blue door and pick up a box",
+            "open the blue door and pick up the box, then go to a red key",
+            "go to the red key, then open a blue door and pick up a box",
+        )
+    ]
+    same, again, other = (code.tolist() for code in codes if code is not None)
+    assert same == again != other
+
+
+@pytest.mark.parametrize(
+    "mission",
+    [
+        "",
+        "go to the goal",
+        "open a door, then",
+        "open a door and open a box and go to a key",
+        "open a door" + ", then open a box" * 2,
+    ],
+)
+def test_other_missions_have_no_code(mission: str) -> None:
+    assert Instructions().code(mission) is None
+
+
+@pytest.mark.parametrize("level", sorted(env_id for env_id in gym.registry if env_id.startswith("BabyAI-")))
+def test_every_mission_of_babyai_has_its_own_code(level: str) -> None:
+    env = make(level)
+    texts: dict[bytes, str] = {}
+    for seed in range(2):
+        observation, _ = env.reset(seed=seed)
+        assert observation in env.observation_space
+        later, after, sooner = re.sub(r"\b(the|a) ", "", env.unwrapped.mission).partition(" after you ")  # type: ignore[attr-defined]
+        text = f"{sooner}, then {later}" if after else later
+        code = observation[-Instructions.n_words :].tobytes()
+        assert texts.setdefault(code, text) == text
+    assert len(set(texts.values())) == len(texts)
 
 
 def test_convolutions_read_the_cells_as_a_picture() -> None:

@@ -1,0 +1,84 @@
+"""The missions of BabyAI: instructions by a small grammar, as numbers, and the things that the first one names."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sb3_options.envs.minigrid.missions import COLOURS
+from sb3_options.envs.minigrid.retina import BALL, BOX, DOOR, KEY
+
+VERBS = ("open", "go to", "pick up", "put")
+KINDS = {"object": 0, "door": DOOR, "key": KEY, "ball": BALL, "box": BOX}
+"""What an instruction calls a thing; 0 is any object."""
+
+PLACES = ("in front of you", "behind you", "on your left", "on your right")
+"""Where a thing was when the episode began."""
+
+WORDS = (VERBS, *2 * (COLOURS, tuple(KINDS), PLACES))
+"""Of one instruction: the verb, and of the thing, and of the one it is put next to, the colour, kind and place."""
+
+BEGINS = np.cumsum([0, *map(len, WORDS)])
+AT_ONCE = 2
+"""Instructions that "and" joins at most, on either side of "then"."""
+
+_A_THING = rf"(?:a|the) (?:({'|'.join(COLOURS)}) )?({'|'.join(KINDS)})(?: ({'|'.join(PLACES)}))?"
+_INSTRUCTION = re.compile(rf"({'|'.join(VERBS)}) {_A_THING}(?: next to {_A_THING})?")
+
+Vector = npt.NDArray[np.uint8]
+
+
+class Instructions:
+    """The missions of BabyAI (Chevalier-Boisvert et al. 2019, §3.2), of one to four instructions.
+
+    A code holds the words of each, one-hot, in the order in which they are to be followed: "go to the ball after you
+    open a door" has the code of "open a door, then go to the ball". Articles are left out.
+    """
+
+    n_words = 2 * AT_ONCE * int(BEGINS[-1])
+    """Length of a code."""
+
+    n_things = 2
+    """The thing of the first instruction, and the one that it is put next to."""
+
+    def code(self, text: str) -> Vector | None:
+        """The code of a mission, (`n_words`,); None if it is none of BabyAI."""
+        return _code(text)
+
+    def things_of(self, codes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+        """The things that first instructions name by colour, of a batch of codes (batch, w), (batch, `n_things`, 2).
+
+        Of each the object, 0 for any, and the colour, -1 where a thing has none or is missing.
+        """
+        colours, kinds = (np.stack([_word(codes, i) for i in of], axis=1) for of in ((1, 4), (2, 5)))
+        objects = np.array([*KINDS.values(), 0])[kinds]
+        return np.stack([np.where(colours < 0, 0, objects), colours], axis=2)
+
+
+@lru_cache(maxsize=1 << 12)
+def _code(text: str) -> Vector | None:
+    later, after, sooner = text.partition(" after you ")
+    sides = [sooner, later] if after else text.split(", then ")
+    together = [side.split(" and ") for side in sides]
+    if len(sides) > 2 or max(map(len, together)) > AT_ONCE:
+        return None
+    code = np.zeros((2, AT_ONCE, BEGINS[-1]), dtype=np.uint8)
+    for rows, instructions in zip(code, together, strict=False):
+        for row, instruction in zip(rows, instructions, strict=False):
+            found = _INSTRUCTION.fullmatch(instruction)
+            if found is None:
+                return None
+            for word, words, begin in zip(found.groups(), WORDS, BEGINS, strict=False):
+                if word is not None:
+                    row[begin + words.index(word)] = 1
+    return code.ravel()
+
+
+def _word(codes: npt.NDArray[Any], i: int) -> npt.NDArray[np.int64]:
+    """Which word of `WORDS[i]` the first instruction has, (batch,); -1 for none."""
+    chosen = codes[:, BEGINS[i] : BEGINS[i + 1]]
+    return np.where(chosen.any(axis=1), chosen.argmax(axis=1), -1)
