@@ -34,8 +34,8 @@ class Missions:
 
     Attributes:
         codes: The variable words of each, one-hot, (n, w); w is 0 where there is only one mission.
-        things: Those that each names by colour, object and colour, (n, k, 2). The object is 0 for any of the colour,
-            and the colour is -1 where a mission names fewer than others.
+        things: Those that each names by colour, object and colour, (n + 1, k, 2). The object is 0 for any of the
+            colour, and the colour is -1 where a mission names fewer than others. The last row is of no mission.
 
     Raises:
         ValueError: They cannot be listed, or are too many.
@@ -49,7 +49,7 @@ class Missions:
         self._number = {text: i for i, text in enumerate(texts)}
         self._of_code = {code.tobytes(): i for i, code in enumerate(self.codes)}
         named = [_things(text) for text in texts]
-        self.things = np.full((len(texts), max(map(len, named)), 2), (0, -1))
+        self.things = np.full((len(texts) + 1, max(map(len, named)), 2), (0, -1))
         for i, things in enumerate(named):
             self.things[i, : len(things)] = np.reshape(things, (-1, 2))
 
@@ -71,8 +71,7 @@ class Missions:
     def things_of(self, codes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
         """The things that missions name, of a batch of codes (batch, w), (batch, k, 2); none of what is no code."""
         rows = np.ascontiguousarray(codes, dtype=np.uint8)
-        numbers = [self._of_code.get(row.tobytes(), -1) for row in rows]
-        return np.where(np.array(numbers)[:, None, None] < 0, (0, -1), self.things[numbers])
+        return self.things[[self._of_code.get(row.tobytes(), -1) for row in rows]]
 
 
 def _listed(space: Any) -> tuple[Vector, list[str]]:

@@ -77,13 +77,22 @@ class FeaturesBeside(gym.ObservationWrapper[Any, Any, Any]):
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
         assert env.observation_space.shape is not None  # a vector
-        n = env.observation_space.shape[0] + len(env.get_wrapper_attr("feature_names"))
+        self._n = env.observation_space.shape[0]
+        n = self._n + len(env.get_wrapper_attr("feature_names"))
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (n,), np.float32)
 
     def observation(self, observation: Any) -> npt.NDArray[np.float32]:
         """The observation, and φ."""
         features = self.env.get_wrapper_attr("concept_features")(observation[None])[0]
         return np.concatenate([observation, features]).astype(np.float32)
+
+    def concept_features(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """φ of a batch of such observations."""
+        return observations[:, self._n :].astype(np.float64)
+
+    def concept_groups(self) -> Any:
+        """Those of φ."""
+        return self.env.get_wrapper_attr("concept_groups")()
 
 
 def normalised(venv: VecEnv, before: VecEnv | None, *, training: bool = True) -> VecNormalize:

@@ -56,6 +56,9 @@ def test_an_agent_with_features_sees_what_discovery_sees() -> None:
     ]
     assert np.array_equal(seen, np.hstack([plain, features[0]]))
     assert np.array_equal(*features)
+    groups = [venv.get_attr("features", indices=[0])[0].groups for venv in venvs]
+    assert groups[0] == groups[1]
+    assert len(groups[0]) > 5
 
 
 def curve(*points: tuple[int, float], **more: Any) -> dict[str, Any]:
