@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sb3_options.envs.minigrid.missions import COLOURS
+from sb3_options.envs.minigrid.missions import COLOURS, NO_THING
 from sb3_options.envs.minigrid.retina import BALL, BOX, DOOR, KEY
 
 VERBS = ("open", "go to", "pick up", "put")
@@ -49,14 +48,9 @@ class Instructions:
         """The code of a mission, (`n_words`,); None if it is none of BabyAI."""
         return _code(text)
 
-    def things_of(self, codes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
-        """The things that first instructions name by colour, of a batch of codes (batch, w), (batch, `n_things`, 2).
-
-        Of each the object, 0 for any, and the colour, -1 where a thing has none or is missing.
-        """
-        colours, kinds = (np.stack([_word(codes, i) for i in of], axis=1) for of in ((1, 4), (2, 5)))
-        objects = np.array([*KINDS.values(), 0])[kinds]
-        return np.stack([np.where(colours < 0, 0, objects), colours], axis=2)
+    def things_in(self, code: bytes) -> bytes:
+        """The things that the first instruction names by colour, by the bytes of a code, for `things_of`."""
+        return _things(code)
 
 
 @lru_cache(maxsize=1 << 12)
@@ -78,7 +72,17 @@ def _code(text: str) -> Vector | None:
     return code.ravel()
 
 
-def _word(codes: npt.NDArray[Any], i: int) -> npt.NDArray[np.int64]:
-    """Which word of `WORDS[i]` the first instruction has, (batch,); -1 for none."""
-    chosen = codes[:, BEGINS[i] : BEGINS[i + 1]]
-    return np.where(chosen.any(axis=1), chosen.argmax(axis=1), -1)
+@lru_cache(maxsize=1 << 12)
+def _things(code: bytes) -> bytes:
+    first = np.frombuffer(code, np.uint8)[: BEGINS[-1]]
+    colours, kinds = ([_word(first, i) for i in of] for of in ((1, 4), (2, 5)))
+    objects = [*KINDS.values(), 0]
+    return np.array(
+        [(objects[kind], colour) if colour >= 0 else NO_THING for colour, kind in zip(colours, kinds, strict=True)]
+    ).tobytes()
+
+
+def _word(instruction: Vector, i: int) -> int:
+    """Which word of `WORDS[i]` an instruction has; -1 for none."""
+    chosen = instruction[BEGINS[i] : BEGINS[i + 1]]
+    return int(chosen.argmax()) if chosen.any() else -1

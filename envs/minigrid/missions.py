@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,9 @@ NAMED = {"door": DOOR, "room": DOOR, "key": KEY, "ball": BALL, "box": BOX}
 _THING = re.compile(rf"\b({'|'.join(COLOURS)})\b(?! goal\b)(?: ({'|'.join(NAMED)})\b)?")
 """A goal is always green, and is a kind of its own."""
 
+NO_THING = (0, -1)
+"""In the place of a thing that a mission does not name."""
+
 Vector = npt.NDArray[np.uint8]
 
 
@@ -34,8 +38,7 @@ class Missions:
 
     Attributes:
         codes: The variable words of each, one-hot, (n, w); w is 0 where there is only one mission.
-        things: Those that each names by colour, object and colour, (n + 1, k, 2). The object is 0 for any of the
-            colour, and the colour is -1 where a mission names fewer than others. The last row is of no mission.
+        n_things: How many things each may name by colour, k.
 
     Raises:
         ValueError: They cannot be listed, or are too many.
@@ -47,31 +50,33 @@ class Missions:
         if space is not None:
             self.codes, texts = _listed(space)
         self._number = {text: i for i, text in enumerate(texts)}
-        self._of_code = {code.tobytes(): i for i, code in enumerate(self.codes)}
         named = [_things(text) for text in texts]
-        self.things = np.full((len(texts) + 1, max(map(len, named)), 2), (0, -1))
-        for i, things in enumerate(named):
-            self.things[i, : len(things)] = np.reshape(things, (-1, 2))
+        self.n_things = max(map(len, named))
+        self._nothing = np.array([NO_THING] * self.n_things).tobytes()
+        rows = [np.array(things + [NO_THING] * (self.n_things - len(things))) for things in named]
+        self._things = {code.tobytes(): row.tobytes() for code, row in zip(self.codes, rows, strict=True)}
 
     @property
     def n_words(self) -> int:
         """Length of a code."""
         return int(self.codes.shape[1])
 
-    @property
-    def n_things(self) -> int:
-        """How many things each may name, k."""
-        return int(self.things.shape[1])
-
     def code(self, text: str) -> Vector | None:
         """The code of a mission, (w,); None if it is unknown."""
         number = self._number.get(text)
         return None if number is None else self.codes[number]
 
-    def things_of(self, codes: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
-        """The things that missions name, of a batch of codes (batch, w), (batch, k, 2); none of what is no code."""
-        rows = np.ascontiguousarray(codes, dtype=np.uint8)
-        return self.things[[self._of_code.get(row.tobytes(), -1) for row in rows]]
+    def things_in(self, code: bytes) -> bytes:
+        """The things that a mission names by colour, by the bytes of its code, for `things_of`."""
+        return self._things.get(code, self._nothing)
+
+
+def things_of(named: Sequence[bytes]) -> npt.NDArray[np.int64]:
+    """Object and colour of the things that missions name, (batch, k, 2).
+
+    The object is 0 for any of the colour; the colour is -1 where a mission names fewer things than others.
+    """
+    return np.frombuffer(b"".join(named), np.int64).reshape(len(named), -1, 2)
 
 
 def _listed(space: Any) -> tuple[Vector, list[str]]:

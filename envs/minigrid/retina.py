@@ -84,22 +84,6 @@ def retina(
     images = np.asarray(images)
     if images.ndim != 4 or images.shape[1] != images.shape[2] or images.shape[3] != 3:
         raise ValueError(f"images must have shape (batch, v, v, 3), as MiniGrid's are, got {images.shape}")
-    if len(images) == 1:
-        key = images.astype(np.uint8).tobytes()
-        return _of_one(key, images.shape[1], None if asked is None else np.asarray(asked, np.int64).tobytes()).copy()
-    return _of_batch(images, asked)
-
-
-@lru_cache(maxsize=1 << 14)
-def _of_one(image: bytes, view: int, asked: bytes | None) -> npt.NDArray[np.float64]:
-    """`retina` of one image: environments side by side see the same again and again."""
-    things = None if asked is None else np.frombuffer(asked, np.int64).reshape(1, -1, 2)
-    return _of_batch(np.frombuffer(image, np.uint8).reshape(1, view, view, 3), things)
-
-
-def _of_batch(
-    images: npt.NDArray[np.integer[Any]], asked: npt.NDArray[np.integer[Any]] | None
-) -> npt.NDArray[np.float64]:
     n, view = images.shape[:2]
     sight = _sight(view)
     cells = images.reshape(n, view * view, 3)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
@@ -12,7 +13,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from sb3_options.envs.minigrid.cells import COLOURS, DEPTH, OBJECTS, STATES
 from sb3_options.envs.minigrid.instructions import Instructions
-from sb3_options.envs.minigrid.missions import Missions
+from sb3_options.envs.minigrid.missions import Missions, things_of
 from sb3_options.envs.minigrid.retina import MOST_ASKED, concept_groups, feature_names, retina
 from sb3_options.envs.minigrid.view import see_quickly
 
@@ -105,8 +106,7 @@ class MiniGridWrapper(
 
     def images(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         """The images (batch, v, v, 3) in a batch of observations (batch, n)."""
-        flat = np.asarray(observations, dtype=np.uint8)[:, : self._n_cells].reshape(-1, DEPTH)
-        return (flat @ _WORTH).reshape(-1, self._view, self._view, 3)
+        return _images(np.asarray(observations, dtype=np.uint8)[:, : self._n_cells], self._view)
 
     def concept_features(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         """φ of a batch of observations: the `retina` of their images, and of up to three things of the mission.
@@ -114,21 +114,46 @@ class MiniGridWrapper(
         Returns:
             (batch, 36); (batch, 27) without ``asked``. Features of things that no mission of the task names are 0.
         """
-        words = np.asarray(observations)[:, self._n_cells :]
-        seen = retina(self.images(observations), self._missions.things_of(words) if self._n_asked else None)
-        features = np.zeros((len(seen), len(self.feature_names)))
-        features[:, : seen.shape[1]] = seen
-        return features
+        observations = np.asarray(observations, dtype=np.uint8)
+        n = self._n_cells
+        missions = self._missions
+        named = [missions.things_in(words.tobytes()) for words in observations[:, n:]] if self._n_asked else []
+        if len(observations) != 1:
+            return _features(observations[:, :n], named, self._view, len(self.feature_names))
+        cells = observations[0, :n].tobytes()
+        return _features_of_one(cells, tuple(named), self._view, len(self.feature_names)).copy()
 
     def concept_groups(self) -> list[dict[str, Any]]:
         """Which features of φ make a concept together."""
         return concept_groups(self._n_asked)
 
 
-_WORTH = np.zeros((DEPTH, 3), dtype=np.uint8)
-"""What each number of the code of a cell says of its object, its colour and its state: the code is one-hot in each."""
+_WORTH = np.zeros((DEPTH, 3), dtype=np.float32)
+"""What each number of the code of a cell says of its object, its colour and its state: the code is one-hot in each.
+
+In floating point, because numpy multiplies matrices of integers without BLAS, which takes three times as long."""
 for _channel, _n, _first in ((0, OBJECTS, 0), (1, COLOURS, OBJECTS), (2, STATES, OBJECTS + COLOURS)):
     _WORTH[_first : _first + _n, _channel] = np.arange(_n)
+
+
+def _images(cells: npt.NDArray[np.uint8], view: int) -> npt.NDArray[np.uint8]:
+    """The images (batch, v, v, 3) of cells (batch, v·v·21)."""
+    return (cells.reshape(-1, DEPTH).astype(np.float32) @ _WORTH).astype(np.uint8).reshape(-1, view, view, 3)
+
+
+def _features(cells: npt.NDArray[np.uint8], named: Sequence[bytes], view: int, size: int) -> npt.NDArray[np.float64]:
+    """φ (batch, size) of cells (batch, v·v·21) and what the missions name; empty where they name nothing."""
+    seen = retina(_images(cells, view), things_of(named) if named else None)
+    features = np.zeros((len(seen), size))
+    features[:, : seen.shape[1]] = seen
+    return features
+
+
+@lru_cache(maxsize=1 << 14)
+def _features_of_one(cells: bytes, named: tuple[bytes, ...], view: int, size: int) -> npt.NDArray[np.float64]:
+    """`_features` of one observation: environments side by side see the same again and again."""
+    return _features(np.frombuffer(cells, np.uint8)[None], named, view, size)
+
 
 _EYES = tuple(np.eye(n, dtype=np.uint8) for n in (OBJECTS, COLOURS, STATES))
 

@@ -13,9 +13,11 @@ import tyro
 from matplotlib.figure import Figure
 
 from experiments.common.documents import fill
+from experiments.common.intervals import iqm_ratio
 from experiments.minigrid.settings import Arm
 from experiments.minigrid.summary import REACH
 from sb3_options.experience.observations import FloatArray
+from sb3_options.runs.intervals import iqm
 
 RESAMPLES, SEED = 10_000, 0
 
@@ -82,6 +84,9 @@ FRESH = {
 """Tasks that were run again on seeds which nothing had been chosen or seen on, and the files of agents with options and
 of their rivals, which end in -fresh."""
 
+FEATURES = {"four rooms": "four-rooms", "six rooms": "six-rooms", "key corridors": "key-corridor"}
+"""Tasks where agents see φ beside the observation, and the files of these agents, which end in -features."""
+
 REACHING = {
     **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},
     "`FourRooms`": ("four-large-rooms",),
@@ -132,7 +137,8 @@ class Ratios:
 
 def main(of: Ratios) -> None:
     """Read, fill in and draw."""
-    parts = {"capped": capped_table, "ratios": table, "fresh": fresh_table, "reach": reach_table}
+    parts = {"capped": capped_table, "ratios": table, "fresh": fresh_table, "features": features_table}
+    parts |= {"reach": reach_table}
     fill(of.document, {name: draw_up(of.results) for name, draw_up in parts.items()})
     draw(of.results).savefig(of.picture, dpi=110)
 
@@ -212,6 +218,26 @@ def fresh_table(results: Path) -> str:
         cells = [f"{median:,.0f}" if np.isfinite(median) else "never" for median in medians]
         cells += [_text(of[ours], of[rival]) for rival in ("PPO", "PPO, RND") for of in (frames, every)]
         rows.append(f"| {task} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def features_table(results: Path) -> str:
+    """Frames of agents with options, as a share of those of agents that see φ, of equal seeds."""
+    rows = [
+        "| | runs of 8 that arrive | frames | frames with options, of these | processor seconds |",
+        "|---" * 5 + "|",
+    ]
+    for task, file in FEATURES.items():
+        arms = _summary_of(results, f"{file}-features")["arms"]
+        frames = {
+            arm: np.minimum(frames_of(results, Of(f"{file}-features", arm)), FRAMES[task]) for arm in sorted(arms)
+        }
+        ours = frames[next(arm for arm in arms if arm.startswith("discovered, "))]
+        for arm, of in frames.items():
+            arrived = int((of < FRAMES[task]).sum())
+            share = "" if of is ours else "{:.2f} ({:.2f} to {:.2f})".format(*iqm_ratio(ours, of, paired=True))
+            seconds = arms[arm]["processor_seconds"]["mean"]
+            rows.append(f"| {task}: {arm} | {arrived} | {iqm(of):,.0f} | {share} | {seconds:.0f} |")
     return "\n".join(rows)
 
 

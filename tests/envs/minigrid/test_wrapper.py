@@ -16,7 +16,7 @@ from sb3_options.envs.minigrid import FEATURES, MiniGridWrapper, make, retina
 from sb3_options.envs.minigrid.cells import OBJECTS
 from sb3_options.envs.minigrid.cnn import MiniGridCNN
 from sb3_options.envs.minigrid.instructions import Instructions
-from sb3_options.envs.minigrid.missions import Missions
+from sb3_options.envs.minigrid.missions import Missions, things_of
 
 IDS = sorted(
     name for name in gym.registry if name.startswith("MiniGrid-") and "WFC" not in name  # their files are in no wheel
@@ -151,9 +151,9 @@ def test_things_that_missions_name(env_id: str, mission: str | None, things: lis
     missions = Missions(gym.make(env_id).observation_space["mission"])  # type: ignore[index]  # a Dict
     code = missions.codes[0] if mission is None else missions.code(mission)
     assert code is not None
-    assert missions.things_of(code[None]).tolist() == [list(map(list, things))]
+    assert things_of([missions.things_in(code.tobytes())]).tolist() == [list(map(list, things))]
     if mission is not None:
-        assert missions.things_of(np.ones_like(code)[None]).tolist() == [[[0, -1]] * len(things)]
+        assert things_of([missions.things_in(np.ones_like(code).tobytes())]).tolist() == [[[0, -1]] * len(things)]
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_things_that_missions_name(env_id: str, mission: str | None, things: lis
 def test_things_that_an_instruction_names(mission: str, things: list[tuple[int, int]]) -> None:
     code = Instructions().code(mission)
     assert code is not None
-    assert Instructions().things_of(code[None]).tolist() == [list(map(list, things))]
+    assert things_of([Instructions().things_in(code.tobytes())]).tolist() == [list(map(list, things))]
 
 
 def test_instructions_in_the_order_in_which_they_are_followed() -> None:
