@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from sb3_options.envs.minigrid.missions import COLOURS, NO_THING
+from sb3_options.envs.minigrid.missions import COLOURS, NO_THING, bytes_of
 from sb3_options.envs.minigrid.retina import BALL, BOX, DOOR, KEY
 
 VERBS = ("open", "go to", "pick up", "put")
@@ -69,6 +69,7 @@ def _code(text: str) -> Vector | None:
             for word, words, begin in zip(found.groups(), WORDS, BEGINS, strict=False):
                 if word is not None:
                     row[begin + words.index(word)] = 1
+    code.setflags(write=False)  # it is handed out again
     return code.ravel()
 
 
@@ -77,9 +78,9 @@ def _things(code: bytes) -> bytes:
     first = np.frombuffer(code, np.uint8)[: BEGINS[-1]]
     colours, kinds = ([_word(first, i) for i in of] for of in ((1, 4), (2, 5)))
     objects = [*KINDS.values(), 0]
-    return np.array(
+    return bytes_of(
         [(objects[kind], colour) if colour >= 0 else NO_THING for colour, kind in zip(colours, kinds, strict=True)]
-    ).tobytes()
+    )
 
 
 def _word(instruction: Vector, i: int) -> int:

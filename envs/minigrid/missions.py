@@ -52,9 +52,9 @@ class Missions:
         self._number = {text: i for i, text in enumerate(texts)}
         named = [_things(text) for text in texts]
         self.n_things = max(map(len, named))
-        self._nothing = np.array([NO_THING] * self.n_things).tobytes()
-        rows = [np.array(things + [NO_THING] * (self.n_things - len(things))) for things in named]
-        self._things = {code.tobytes(): row.tobytes() for code, row in zip(self.codes, rows, strict=True)}
+        self._nothing = bytes_of([NO_THING] * self.n_things)
+        rows = [bytes_of(things + [NO_THING] * (self.n_things - len(things))) for things in named]
+        self._things = {code.tobytes(): row for code, row in zip(self.codes, rows, strict=True)}
 
     @property
     def n_words(self) -> int:
@@ -69,6 +69,11 @@ class Missions:
     def things_in(self, code: bytes) -> bytes:
         """The things that a mission names by colour, by the bytes of its code, for `things_of`."""
         return self._things.get(code, self._nothing)
+
+
+def bytes_of(things: Sequence[tuple[int, int]]) -> bytes:
+    """Objects and colours, for `things_of`."""
+    return np.array(things, dtype=np.int64).tobytes()
 
 
 def things_of(named: Sequence[bytes]) -> npt.NDArray[np.int64]:

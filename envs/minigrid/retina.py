@@ -37,7 +37,7 @@ SHUNNED = ("lava",)
 """Kinds that make no group: what an agent must keep away from is rare too, and an option would lead there."""
 
 MOST_ASKED = 3
-"""Things that a mission names at most. φ has features of as many in every task, so that options fit into all."""
+"""Things of a mission that φ locates at most. It has features of as many in every task: options fit into all."""
 
 COLOURED = (DOOR, KEY, BALL, BOX)
 """Objects that a mission may mean that names a colour alone."""

@@ -64,8 +64,7 @@ class MiniGridWrapper(
         self._view = _view_of(env)
         _check_rewards(env)
         missions = space["mission"] if mission and "mission" in space.spaces else None
-        is_babyai = type(missions).__name__ == "BabyAIMissionSpace"  # of a module that takes long to import
-        self._missions = Instructions() if is_babyai else Missions(missions)
+        self._missions = Instructions() if _is_babyai(missions) else Missions(missions)
         self._n_asked = self._missions.n_things if asked else 0
         self.feature_names = feature_names(MOST_ASKED if asked else 0)
         see_quickly(env.unwrapped)
@@ -172,6 +171,13 @@ def _view_of(env: gym.Env[Any, Any]) -> int:
         )
     assert shape is not None  # an image
     return int(shape[0])
+
+
+def _is_babyai(missions: Any) -> bool:
+    """Whether these are instructions by BabyAI's grammar."""
+    from minigrid.envs.babyai.core.roomgrid_level import BabyAIMissionSpace
+
+    return isinstance(missions, BabyAIMissionSpace)
 
 
 def _check_rewards(env: gym.Env[Any, Any]) -> None:

@@ -42,6 +42,7 @@ class Study(Flags):
         frames: Primitive steps in each.
         carried: Whether options come from two rooms.
         judge: Whether options are judged.
+        asked: Whether φ says where the things are that missions name.
         until_learned: Whether training ends at a success rate of 0.8.
         shown: Demonstrations of MiniGrid's own bot that discovery begins with.
     """
@@ -52,6 +53,7 @@ class Study(Flags):
     first_seed: int = 0
     carried: bool = False
     judge: bool = True
+    asked: bool = True
     until_learned: bool = False
     shown: int = 0
 
@@ -91,10 +93,10 @@ def train(study: Study, task: str, frames: int, seed: int, options: Path | None,
     def wrapped(env: Any) -> OptionsWrapper:
         return OptionsWrapper(env, 4, gamma=0.99, options_file=options)
 
-    venv = make_vec_env(lambda: make(task), 8, seed=seed, wrapper_class=wrapped)
+    venv = make_vec_env(lambda: make(task, asked=study.asked), 8, seed=seed, wrapper_class=wrapped)
     how: dict[str, Any] = {"n_steps": 128, "batch_size": 256, "n_epochs": 4, "learning_rate": 1e-3, "ent_coef": 0.01}
     model = MaskablePPO("MlpPolicy", venv, gamma=0.99, seed=seed, device="cpu", **how)
-    env = wrapped(make(task))
+    env = wrapped(make(task, asked=study.asked))
     shown = record_demonstrations(env, bot_of(env), study.shown, seed=FIRST_SEED + 1000 * seed) if study.shown else None
     judging = {} if study.judge else {"min_reached": 0}
     discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness=judging, demonstrations=shown)
@@ -133,13 +135,16 @@ def main(study: Study) -> None:
     """Run the study, and write what it found."""
     tasks = study.tasks.split(",")
     parts = [Part(task, partial(run, study, task), study.out / "runs" / task) for task in tasks]
-    varied = {name: getattr(study, name) for name in ("frames", "carried", "judge", "until_learned", "shown")}
+    varied = {name: getattr(study, name) for name in ("frames", "carried", "judge", "asked", "until_learned", "shown")}
     results = run_parts(parts, study.seeds(), settings=varied, on=study, description="MiniGrid")
-    flags = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in varied.items() if value)
-    flags = flags.replace(" True", "").replace("--judge", "") + ("" if study.judge else " --no-judge")
-    command = f"python -m experiments.minigrid.judged --tasks {study.tasks} {flags} --runs {study.runs} "
+    flags = "".join(
+        f" --{'' if value else 'no-'}{name.replace('_', '-')}{'' if isinstance(value, bool) else f' {value}'}"
+        for name, value in varied.items()
+        if value != getattr(Study, name)
+    )
+    command = f"python -m experiments.minigrid.judged --tasks {study.tasks}{flags} --runs {study.runs} "
     command += f"--first-seed {study.first_seed} --out FOLDER"
-    write(study.out, {"command": " ".join(command.split()), **varied, "results": results}, {})
+    write(study.out, {"command": command, **varied, "results": results}, {})
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from matplotlib import color_sequences
 from matplotlib.figure import Figure
 
 from experiments.common.seeds import Result
-from experiments.minigrid.settings import ARMS, EPISODES, FAMILIES
+from experiments.minigrid.settings import EPISODES, FAMILIES
 from experiments.minigrid.summary import run_frames
 
 COLOURS = color_sequences["tab20"]
@@ -20,8 +20,8 @@ def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     axes = figure.subplots()
     as_planned = all("frames" not in stage for runs in results.values() for run in runs for stage in run["stages"])
-    for name, runs in results.items():
-        colour = COLOURS[ARMS.index(name) % len(COLOURS)]
+    for number, (name, runs) in enumerate(results.items()):
+        colour, style = COLOURS[number % len(COLOURS)], "-" if number < len(COLOURS) else "--"
         for i, run in enumerate(runs):
             before = 0
             spent = run_frames(run, family, name)  # type: ignore[arg-type]  # the names are arms
@@ -29,7 +29,7 @@ def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
                 frames = [before + at for at, _ in noted["curve"]]
                 success = [rate for _, rate in noted["curve"]]
                 label = name if i == 0 and before == 0 else None
-                axes.plot(frames, success, color=colour, linewidth=1.2, label=label)
+                axes.plot(frames, success, color=colour, linestyle=style, linewidth=1.2, label=label)
                 if not as_planned:
                     axes.plot(frames[:1], success[:1], ".", color=colour, markersize=8)
                 before += took
