@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.minigrid import agents, settings
+from experiments.minigrid import agents, ratios, settings
 from experiments.minigrid.__main__ import Study, main
 from experiments.minigrid.hand_made import options_on
 from experiments.minigrid.ratios import ratio_of_medians
@@ -72,6 +72,15 @@ def test_frames_count_those_of_all_stages() -> None:
     assert frames_to(run, "MultiRoom-4", "discovered", 0.8) == stages[0].frames + 300  # where it stays
     assert frames_to(run, "MultiRoom-4", "discovered", 0.9) is None
     assert frames_to({"stages": [curve((200, 0.85))]}, "MultiRoom-4", "stock", 0.8) == 200
+
+
+def test_the_tables_of_the_page_are_those_of_the_results(tmp_path: Path) -> None:
+    document = Path("docs/studies/minigrid.md")
+    copy = tmp_path / "minigrid.md"
+    copy.write_text(document.read_text(encoding="utf-8"), encoding="utf-8")
+    ratios.main(ratios.Ratios(document=copy, picture=tmp_path / "minigrid.png"))
+    assert copy.read_text(encoding="utf-8") == document.read_text(encoding="utf-8")
+    assert (tmp_path / "minigrid.png").stat().st_size > 5_000
 
 
 def test_ratios_of_medians() -> None:
