@@ -15,7 +15,7 @@ from sb3_options import OptionsWrapper
 
 
 def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stages = Stage("MiniGrid-Empty-5x5-v0", 600), Stage("MiniGrid-MultiRoom-N2-S4-v0", 600)
+    stages = Stage("MiniGrid-Empty-5x5-v0", 128), Stage("MiniGrid-MultiRoom-N2-S4-v0", 128)
     monkeypatch.setitem(FAMILIES, "small", stages)
     for name in ("N_ENVS", "ZOO_N_ENVS", "EPISODES"):
         monkeypatch.setattr(settings, name, 2)
