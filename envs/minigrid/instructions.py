@@ -22,8 +22,13 @@ WORDS = (VERBS, *2 * (COLOURS, tuple(KINDS), PLACES))
 """Of one instruction: the verb, and of the thing, and of the one it is put next to, the colour, kind and place."""
 
 BEGINS = np.cumsum([0, *map(len, WORDS)])
+"""Where each of `WORDS` begins in the code of an instruction, and in the end its length."""
+
 AT_ONCE = 2
 """Instructions that "and" joins at most, on either side of "then"."""
+
+REMEMBERED = 1 << 12
+"""Missions whose code, and codes whose things, are kept: every step asks for those of its mission."""
 
 _A_THING = rf"(?:a|the) (?:({'|'.join(COLOURS)}) )?({'|'.join(KINDS)})(?: ({'|'.join(PLACES)}))?"
 _INSTRUCTION = re.compile(rf"({'|'.join(VERBS)}) {_A_THING}(?: next to {_A_THING})?")
@@ -44,43 +49,37 @@ class Instructions:
     n_things = 2
     """The thing of the first instruction, and the one that it is put next to."""
 
-    def code(self, text: str) -> Vector | None:
+    @staticmethod
+    @lru_cache(maxsize=REMEMBERED)
+    def code(text: str) -> Vector | None:
         """The code of a mission, (`n_words`,); None if it is none of BabyAI."""
-        return _code(text)
+        later, after, sooner = text.partition(" after you ")
+        sides = [sooner, later] if after else text.split(", then ")
+        together = [side.split(" and ") for side in sides]
+        if len(sides) > 2 or max(map(len, together)) > AT_ONCE:
+            return None
+        code = np.zeros((2, AT_ONCE, BEGINS[-1]), dtype=np.uint8)
+        for rows, instructions in zip(code, together, strict=False):
+            for row, instruction in zip(rows, instructions, strict=False):
+                found = _INSTRUCTION.fullmatch(instruction)
+                if found is None:
+                    return None
+                for word, words, begin in zip(found.groups(), WORDS, BEGINS, strict=False):
+                    if word is not None:
+                        row[begin + words.index(word)] = 1
+        code.setflags(write=False)  # it is handed out again
+        return code.ravel()
 
-    def things_in(self, code: bytes) -> bytes:
+    @staticmethod
+    @lru_cache(maxsize=REMEMBERED)
+    def things_in(code: bytes) -> bytes:
         """The things that the first instruction names by colour, by the bytes of a code, for `things_of`."""
-        return _things(code)
-
-
-@lru_cache(maxsize=1 << 12)
-def _code(text: str) -> Vector | None:
-    later, after, sooner = text.partition(" after you ")
-    sides = [sooner, later] if after else text.split(", then ")
-    together = [side.split(" and ") for side in sides]
-    if len(sides) > 2 or max(map(len, together)) > AT_ONCE:
-        return None
-    code = np.zeros((2, AT_ONCE, BEGINS[-1]), dtype=np.uint8)
-    for rows, instructions in zip(code, together, strict=False):
-        for row, instruction in zip(rows, instructions, strict=False):
-            found = _INSTRUCTION.fullmatch(instruction)
-            if found is None:
-                return None
-            for word, words, begin in zip(found.groups(), WORDS, BEGINS, strict=False):
-                if word is not None:
-                    row[begin + words.index(word)] = 1
-    code.setflags(write=False)  # it is handed out again
-    return code.ravel()
-
-
-@lru_cache(maxsize=1 << 12)
-def _things(code: bytes) -> bytes:
-    first = np.frombuffer(code, np.uint8)[: BEGINS[-1]]
-    colours, kinds = ([_word(first, i) for i in of] for of in ((1, 4), (2, 5)))
-    objects = [*KINDS.values(), 0]
-    return bytes_of(
-        [(objects[kind], colour) if colour >= 0 else NO_THING for colour, kind in zip(colours, kinds, strict=True)]
-    )
+        first = np.frombuffer(code, np.uint8)[: BEGINS[-1]]
+        colours, kinds = ([_word(first, i) for i in of] for of in ((1, 4), (2, 5)))
+        objects = [*KINDS.values(), 0]
+        return bytes_of(
+            [(objects[kind], colour) if colour >= 0 else NO_THING for colour, kind in zip(colours, kinds, strict=True)]
+        )
 
 
 def _word(instruction: Vector, i: int) -> int:

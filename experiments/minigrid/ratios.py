@@ -137,8 +137,13 @@ class Ratios:
 
 def main(of: Ratios) -> None:
     """Read, fill in and draw."""
-    parts = {"capped": capped_table, "ratios": table, "fresh": fresh_table, "features": features_table}
-    parts |= {"reach": reach_table}
+    parts = {
+        "capped": capped_table,
+        "ratios": table,
+        "fresh": fresh_table,
+        "features": features_table,
+        "reach": reach_table,
+    }
     fill(of.document, {name: draw_up(of.results) for name, draw_up in parts.items()})
     draw(of.results).savefig(of.picture, dpi=110)
 
