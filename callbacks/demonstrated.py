@@ -21,18 +21,14 @@ FAILURES = 20
 
 
 def labelled(
-    given: Iterable[Trajectory] | str | os.PathLike[str], venv: VecEnv, success: SuccessRule, seed: int
+    given: Iterable[Trajectory] | str | os.PathLike[str], venv: VecEnv, success: SuccessRule
 ) -> list[tuple[Trajectory, bool]]:
-    """Demonstrations with their labels, failures among successes.
-
-    If none of them failed, episodes of a random policy are added, as many but at most `FAILURES`, after which the
-    environments have to be reset. A random policy may succeed, too.
+    """Demonstrations and which of them succeeded.
 
     Args:
         given: Trajectories, or the file that `save_demonstrations` wrote.
         venv: Of `OptionsWrapper`.
-        success: Which of them succeeded.
-        seed: Of the random policy.
+        success: Which trajectories succeeded.
 
     Raises:
         ValueError: They do not fit the environments, or none succeeded.
@@ -47,9 +43,20 @@ def labelled(
             f"None of the {len(everything)} demonstrations succeeded: say what success is, with "
             "SubgoalDiscoveryCallback(success=...) or train.py --success, or record others."
         )
+    return shown
+
+
+def with_failures(
+    shown: list[tuple[Trajectory, bool]], venv: VecEnv, success: SuccessRule, seed: int
+) -> list[tuple[Trajectory, bool]]:
+    """Failures among successes, to learn from in this order.
+
+    If no demonstration failed, episodes of a random policy are added, as many but at most `FAILURES`, after which the
+    environments have to be reset. A random policy may succeed, too.
+    """
     if all(said for _, said in shown):
         walks = venv.env_method("random_trajectories", min(len(shown), FAILURES), seed, indices=[0])[0]
-        shown += [(each, judged(success, each)) for each in walks]
+        shown = [*shown, *((each, judged(success, each)) for each in walks)]
     parts = [[each for each in shown if each[1] == said] for said in (False, True)]
     places = np.argsort(np.concatenate([np.linspace(0, 1, len(part)) for part in parts]), kind="stable")
     return [[*parts[0], *parts[1]][place] for place in places]

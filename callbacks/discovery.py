@@ -9,7 +9,8 @@ from itertools import islice
 from typing import Any
 
 from sb3_options.callbacks.checks import check_training
-from sb3_options.callbacks.demonstrated import labelled
+from sb3_options.callbacks.cloning import Cloning, can_clone
+from sb3_options.callbacks.demonstrated import labelled, with_failures
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.keeper import ClosedOption, OptionKeeper
 from sb3_options.callbacks.learned_features import check_learned, features_for
@@ -57,6 +58,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         usefulness: How options are judged by their use, and closed where they are of none: `UsefulnessSettings`.
         demonstrations: Trajectories that succeeded, as `record_demonstrations` returns, or a file of them: options are
             there before the first step. A random policy gives failures if there are none among them.
+        clone: Whether the policy of PPO, A2C, TRPO or MaskablePPO begins with the decisions of the demonstrations.
         verbose: 1 prints each new option, when a feature map is learned, and in the end, if there is no option, why.
 
     `bank` holds the options, `discoveries` says when and where each was found, `closed` which were closed again, and
@@ -69,7 +71,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         TypeError: An argument is of the wrong kind.
     """
 
-    STATE = ("episodes", "history", "discovery", "_keeper")
+    STATE = ("episodes", "history", "discovery", "_keeper", "_cloning")
 
     def __init__(
         self,
@@ -83,6 +85,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         use: OptionUse | Mapping[str, Any] | None = None,
         usefulness: UsefulnessSettings | Mapping[str, Any] | None = None,
         demonstrations: Iterable[Trajectory] | str | os.PathLike[str] | None = None,
+        clone: bool = True,
         verbose: int = 0,
     ) -> None:
         if isinstance(settings, Mapping) and "callback" in settings:  # SB3 calls what is not an object with its locals
@@ -101,10 +104,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.save_path: str | os.PathLike[str] | None = None
         self.hparams: Mapping[str, Any] | None = None
         self.demonstrations = demonstrations
+        self.clone = clone
         self.episodes = 0
         self.history: list[EpisodeRecord] = []
         self.discovery: Discovery | None = None
         judging = given_as(UsefulnessSettings, {} if usefulness is None else usefulness)
+        self._cloning = Cloning()
         self._keeper = OptionKeeper(self.option_settings, judging)
         self.discoveries = self._keeper.discoveries
         self.closed = self._keeper.closed
@@ -150,15 +155,24 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         peaks = self.settings.segmentation == "peaks"
         venv.env_method("set_slots", record=True, max_segment=self.settings.max_segment if peaks else None)
         self._ended = False
-        if begins and self.demonstrations is not None and keeper.may_make():
+        if begins and self.demonstrations is not None:
             self._learn_from_demonstrations(self.demonstrations, seed)
 
     def _learn_from_demonstrations(self, given: Iterable[Trajectory] | str | os.PathLike[str], seed: int) -> None:
-        for trajectory, success in labelled(given, self.training_env, self.success, seed):
-            self._learn_from(trajectory, success)
-        self.model._last_obs = self.training_env.reset()  # type: ignore[assignment]  # as in SB3's own code
-        if (normalizer := self.model.get_vec_normalize_env()) is not None:
-            self.model._last_original_obs = normalizer.get_original_obs()
+        shown = labelled(given, self.training_env, self.success)
+        if self._keeper.may_make():
+            for trajectory, success in with_failures(shown, self.training_env, self.success, seed):
+                self._learn_from(trajectory, success)
+            self.model._last_obs = self.training_env.reset()  # type: ignore[assignment]  # as in SB3's own code
+            if (normalizer := self.model.get_vec_normalize_env()) is not None:
+                self.model._last_original_obs = normalizer.get_original_obs()
+        if self.clone and can_clone(self.model):
+            options = self._keeper.options
+            options.on_rollout_start()  # none has started, and the heads of options must be open
+            successes = [each for each, success in shown if success]
+            probability = self._cloning.begin(self.model, options.bank, successes)
+            if self.verbose:
+                print(f"Cloned {len(successes)} demonstrations: mean probability of a decision {probability:.2f}")
 
     def _groups(self, traits: Traits) -> tuple[FeatureGroup, ...]:
         """The groups of features to search: those of the settings, or else those that the environment or φ names."""
@@ -183,10 +197,19 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                     self.logger.dump(self.num_timesteps)
         return goes_on
 
+    def _on_rollout_start(self) -> None:
+        self._cloning.on_rollout_start(self.model)
+        super()._on_rollout_start()
+
+    def _on_rollout_end(self) -> None:
+        super()._on_rollout_end()
+        self._cloning.on_rollout_end(self.model)
+
     def _episode_ended(
         self, trajectory: Trajectory, info: dict[str, Any], env: int = 0, run: OptionRun | None = None
     ) -> None:
         self.episodes += 1
+        self._cloning.add(trajectory)
         useful = self._keeper.useful
         try:
             success = judged(self.success, trajectory)
@@ -235,6 +258,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self._ended:  # rl-zoo3 ends training twice, and when it was refused
             return
         self._ended = True
+        self._cloning.on_rollout_start(self.model)
         super()._on_training_end()
         if self.closed or len(self.bank):  # without those that were closed, and as the others are now
             save_or_warn(self._keeper.options.bank, self.save_path)

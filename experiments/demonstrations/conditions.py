@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from typing import Any, Literal, get_args
 
-import gymnasium as gym
 import numpy as np
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
 from experiments.common.seeds import Result
-from experiments.demonstrations.cloning import Cloning
-from sb3_options import OptionsWrapper, record_demonstrations
+from experiments.demonstrations.experts import expert_of
+from sb3_options import LastActionObservation, OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.demonstrated import FAILURES
 from sb3_options.envs.minigrid import DISCOVERY, make
@@ -23,8 +21,17 @@ Arm = Literal["options, cloning", "cloning", "options"]
 
 ARMS: tuple[Arm, ...] = get_args(Arm)
 
-TASKS = {"BabyAI-KeyCorridorS3R3-v0": 200_000, "MiniGrid-ObstructedMaze-1Dl-v0": 400_000}
+TASKS = {
+    "BabyAI-KeyCorridorS3R3-v0": 200_000,
+    "BabyAI-KeyCorridorS4R3-v0": 300_000,
+    "MiniGrid-ObstructedMaze-1Dl-v0": 400_000,
+    "MiniGrid-ObstructedMaze-2Dlh-v0": 300_000,
+    "MiniGrid-LockedRoom-v0": 300_000,
+}
 """Frames after which a run is given up, by task."""
+
+MISSIONS = ("MiniGrid-LockedRoom-v0",)
+"""Tasks whose mission names what the agent cannot see: it is part of the observation."""
 
 LEARNED, EPISODES = 0.8, 100
 """A run ends when so large a share of so many episodes in a row succeeds."""
@@ -64,53 +71,25 @@ class UntilLearned(BaseCallback):
         return len(self.recent) == EPISODES and float(np.mean(self.recent)) >= LEARNED
 
 
-def bot_of(env: gym.Env[Any, Any]) -> Callable[[Any], int]:
-    """MiniGrid's own BabyAI bot, which plans with the environment's state; in mazes it is told to fetch the ball."""
-    from minigrid.envs.babyai.core.roomgrid_level import RoomGridLevel
-    from minigrid.envs.babyai.core.verifier import ObjDesc, PickupInstr
-    from minigrid.utils.baby_ai_bot import BabyAIBot
-
-    game: Any = env.unwrapped
-    is_maze = not isinstance(game, RoomGridLevel)
-    planner: Any = None
-    last: Any = None
-
-    def act(observation: Any) -> int:
-        nonlocal planner, last
-        if game.step_count == 0:
-            if is_maze:
-                ball = ObjDesc("ball", "blue")  # type: ignore[no-untyped-call]
-                game.instrs = PickupInstr(ball)  # type: ignore[no-untyped-call]
-                game.instrs.reset_verifier(game)
-            planner, last = BabyAIBot(game), None  # type: ignore[no-untyped-call]
-        last = planner.replan(last)
-        return int(last)
-
-    return act
-
-
 def run(task: str, arm: Arm, episodes: int, seed: int) -> Result:
     """Frames until learned, those of the demonstrations and of random failures included; None where it is not."""
     max_options = MAX_OPTIONS if "options" in arm else 0
 
     def wrapped() -> OptionsWrapper:
-        return OptionsWrapper(make(task, mission=False), max_options, gamma=GAMMA)
+        return OptionsWrapper(LastActionObservation(make(task, mission=task in MISSIONS)), max_options, gamma=GAMMA)
 
     env = wrapped()
-    shown = record_demonstrations(env, bot_of(env), episodes, seed=FIRST_SEED + 1000 * seed)
+    shown = record_demonstrations(env, expert_of(env), episodes, seed=FIRST_SEED + 1000 * seed)
     failures = env.random_trajectories(min(episodes, FAILURES), FIRST_SEED + 1000 * seed) if max_options else []
     frames = sum(map(len, [*shown, *failures]))
     discovery = SubgoalDiscoveryCallback(
         **DISCOVERY,
         demonstrations=[*shown, *failures],
+        clone="cloning" in arm,
         max_new_options=None if max_options else 0,
     )
     end = UntilLearned()
-    callbacks: list[BaseCallback] = [discovery, end]
-    ppo = dict(PPO)
-    if arm != "options":
-        callbacks.insert(1, Cloning(discovery, shown, seed))
-        ppo["ent_coef"] = 0.0
+    ppo = PPO | ({"ent_coef": 0.0} if "cloning" in arm else {})
     model = MaskablePPO(
         "MlpPolicy",
         make_vec_env(wrapped, N_ENVS, seed=seed),
@@ -119,7 +98,7 @@ def run(task: str, arm: Arm, episodes: int, seed: int) -> Result:
         policy_kwargs={"net_arch": [64, 64]},
         **ppo,
     )
-    model.learn(TASKS[task] - frames, callbacks)
+    model.learn(TASKS[task] - frames, [discovery, end])
     return {
         "seed": seed,
         "learned": frames + model.num_timesteps if end.learned else None,

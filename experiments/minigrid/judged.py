@@ -23,7 +23,8 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, write
-from experiments.demonstrations.conditions import FIRST_SEED, bot_of
+from experiments.demonstrations.conditions import FIRST_SEED
+from experiments.demonstrations.experts import expert_of
 from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.envs.minigrid import DISCOVERY, make
@@ -97,7 +98,9 @@ def train(study: Study, task: str, frames: int, seed: int, options: Path | None,
     how: dict[str, Any] = {"n_steps": 128, "batch_size": 256, "n_epochs": 4, "learning_rate": 1e-3, "ent_coef": 0.01}
     model = MaskablePPO("MlpPolicy", venv, gamma=0.99, seed=seed, device="cpu", **how)
     env = wrapped(make(task, asked=study.asked))
-    shown = record_demonstrations(env, bot_of(env), study.shown, seed=FIRST_SEED + 1000 * seed) if study.shown else None
+    shown = (
+        record_demonstrations(env, expert_of(env), study.shown, seed=FIRST_SEED + 1000 * seed) if study.shown else None
+    )
     judging = {} if study.judge else {"min_reached": 0}
     discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness=judging, demonstrations=shown)
     notes = Notes(discovery, stop=study.until_learned and save is None)

@@ -71,6 +71,7 @@ class TrainConfig:
         n_envs: Parallel environments.
         options: Run, model or options to start with.
         demonstrations: File of demonstrations.
+        clone: Whether the policy begins with their decisions.
         max_options: Number of option slots.
         max_new_options: Maximum to discover; None: all slots.
         eval_freq: Primitive steps per evaluation; 0: none.
@@ -98,6 +99,7 @@ class TrainConfig:
     n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)] = 8
     options: Path | None = None
     demonstrations: Path | None = None
+    clone: bool = True
     max_options: Annotated[int, Field(ge=0, le=MAX_OPTIONS)] = 4
     max_new_options: Natural | None = 1
     eval_freq: Natural = 0
@@ -158,6 +160,8 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
                 defaults |= _flat(block)
         # An environment's settings may name arguments of another algorithm.
         defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
+        if given.get("demonstrations") and given.get("clone", True) and f"{ARGUMENT}ent_coef" in defaults:
+            defaults[f"{ARGUMENT}ent_coef"] = 0.0  # it would undo what is cloned
         own = _nested(given)["algo_kwargs"]
         if own:
             from sb3_options.runs.algorithms import checked_arguments  # which imports SB3

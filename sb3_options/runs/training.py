@@ -163,6 +163,7 @@ def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDisco
         success=config.success,
         usefulness=config.usefulness,
         demonstrations=config.demonstrations,
+        clone=config.clone,
         verbose=verbose,
     )
 

@@ -8,12 +8,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from sb3_contrib import MaskablePPO
-from stable_baselines3 import DQN, PPO
+import torch
+from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
+from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecFrameStack, VecNormalize
 
 from sb3_options import (
     OptionsWrapper,
@@ -23,8 +24,11 @@ from sb3_options import (
     save_demonstrations,
 )
 from sb3_options.callbacks import SubgoalDiscoveryCallback, discover
+from sb3_options.callbacks.cloning import Cloning
+from sb3_options.checkpoints.tree import decode, encode
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
+from sb3_options.state import restore, state_of
 from tests.callbacks.test_checkpoint_resuming import check_resumes, model_of, venv_of
 from tests.support.documents import ROOT, python_of
 from tests.support.helpers import equal, table_option, trajectory_of
@@ -46,6 +50,11 @@ def to_the_goal(observation: Any) -> int:
 @pytest.fixture(scope="module")
 def shown() -> list[Trajectory]:
     return record_demonstrations(small_rooms(), to_the_goal, 12)
+
+
+@pytest.fixture(autouse=True)
+def few_updates(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sb3_options.callbacks.cloning.UPDATES", 200)
 
 
 def callback(given: Any, **kwargs: Any) -> SubgoalDiscoveryCallback:
@@ -128,9 +137,158 @@ def test_random_actions_are_those_that_the_environment_allows() -> None:
     assert set(walk.actions.tolist()) == {UP}
 
 
+def cloned(model: Any, given: list[Trajectory], **kwargs: Any) -> SubgoalDiscoveryCallback:
+    """What a training knew before its first step."""
+    discovery = SubgoalDiscoveryCallback(FAST_DISCOVERY, demonstrations=given, **kwargs)
+    model.learn(1, [discovery, EndsAtOnce()])
+    return discovery
+
+
+def decisions_of(model: Any, env: Any, n_episodes: int) -> list[list[int]]:
+    """Greedy decisions of some episodes, at most 20 in each."""
+    episodes = []
+    for seed in range(n_episodes):
+        observation, _ = env.reset(seed=seed)
+        ended = False
+        taken: list[int] = []
+        while not ended and len(taken) < 20:
+            seen = observation
+            if (normalizer := model.get_vec_normalize_env()) is not None:
+                seen = normalizer.normalize_obs(observation)
+            masks = {"action_masks": env.action_masks()} if isinstance(model, MaskablePPO) else {}
+            taken.append(int(model.predict(seen, deterministic=True, **masks)[0]))
+            observation, _, ended, *_ = env.step(taken[-1])
+        episodes.append(taken if ended else [])
+    return episodes
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO])
+@pytest.mark.parametrize("most", [0, 1])
+def test_a_policy_begins_with_the_decisions_of_the_demonstrations(
+    shown: list[Trajectory], algorithm: type[BaseAlgorithm], most: int
+) -> None:
+    env = optioned_rooms(1)
+    model = algorithm("MlpPolicy", env, gamma=0.9, seed=0)  # type: ignore[call-arg]
+    assert len(cloned(model, shown, max_new_options=most).bank) == most
+    episodes = decisions_of(model, env, len(shown))
+    assert all(episodes)  # reach the goal
+    assert sum(4 in taken for taken in episodes) >= 6 * most
+    steps, decisions = sum(map(len, shown)), sum(map(len, episodes))
+    assert decisions < 0.8 * steps if most else decisions == steps
+
+
+def test_cloning_can_be_left_out(shown: list[Trajectory]) -> None:
+    model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, seed=0)
+    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
+    cloned(model, shown, clone=False, max_new_options=0)
+    after = model.policy.state_dict()
+    assert all(equal(before[name].numpy(), after[name].numpy()) for name in before if "action_net" not in name)
+
+
+def test_normalized_observations_are_cloned_as_the_policy_sees_them(shown: list[Trajectory]) -> None:
+    env = VecNormalize(make_vec_env(optioned_rooms, 1, seed=0), norm_reward=False)
+    model = PPO("MlpPolicy", env, gamma=0.9, seed=0)
+    cloned(model, shown, max_new_options=0)
+    assert all(decisions_of(model, optioned_rooms(1), len(shown)))
+
+
+def test_observations_of_several_parts_are_cloned() -> None:
+    class Parts(gym.ObservationWrapper[Any, Any, Any]):
+        def __init__(self) -> None:
+            super().__init__(small_rooms())
+            self.observation_space = gym.spaces.Dict({"place": self.env.observation_space})
+
+        def observation(self, observation: Any) -> Any:
+            return {"place": observation}
+
+        def concept_features(self, observations: Any) -> Any:
+            return observations["place"]
+
+    given = record_demonstrations(Parts(), lambda seen: to_the_goal(seen["place"]), 12)
+    env = OptionsWrapper(Parts(), 1, gamma=0.9)
+    model = PPO("MultiInputPolicy", env, gamma=0.9, seed=0)
+    cloned(model, given, max_new_options=0)
+    assert all(decisions_of(model, env, len(given)))
+
+
+def test_stacked_frames_cannot_be_cloned(shown: list[Trajectory]) -> None:
+    env = VecFrameStack(make_vec_env(optioned_rooms, 1, seed=0), 2)
+    model = PPO("MlpPolicy", env, gamma=0.9, seed=0)
+    with pytest.raises(ValueError, match=r"single frames.*or pass .*clone=False"):
+        cloned(model, shown, max_new_options=0)
+    cloned(model, shown, max_new_options=0, clone=False)
+
+
+@pytest.mark.parametrize("algorithm", [DQN, RecurrentPPO])
+def test_other_learners_are_given_options_alone(shown: list[Trajectory], algorithm: type[BaseAlgorithm]) -> None:
+    policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
+    model = algorithm(policy, optioned_rooms(1), gamma=0.9, seed=0)  # type: ignore[call-arg]
+    assert len(cloned(model, shown).bank) == 1
+
+
+class Watches(BaseCallback):
+    """Notes the policy with which each rollout starts, and whether it waits to learn."""
+
+    def __init__(self, cloning: Cloning) -> None:
+        super().__init__()
+        self.cloning = cloning
+        self.seen: list[tuple[bool, dict[str, Any]]] = []
+
+    def _on_rollout_start(self) -> None:
+        weights = {name: value.numpy().copy() for name, value in self.model.policy.state_dict().items()}
+        self.seen.append((self.cloning.waits, weights))
+
+    def _on_step(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("name", ["PPO", "A2C", "TRPO", "MaskablePPO"])
+def test_the_policy_stays_as_it_is_until_the_value_function_knows_its_returns(
+    shown: list[Trajectory], name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sb3_options.callbacks.cloning.EPISODES", 15)
+    model = model_of(name, make_vec_env(optioned_rooms, 2, seed=0))
+    discovery = callback(shown)
+    watches = Watches(discovery._cloning)
+    model.learn(2_000, [discovery, watches])
+    waiting = [weights for waits, weights in watches.seen if waits]
+    learning = [weights for waits, weights in watches.seen if not waits]
+    assert len(waiting) >= 2
+    assert all(equal(weights, waiting[0]) for weights in waiting)
+    values = {name for name in learning[0] if not equal(learning[0][name], waiting[0][name])}
+    assert values
+    assert all("value_net" in name for name in values)
+    assert not equal(learning[-1]["action_net.weight"], waiting[0]["action_net.weight"])
+    states, _ = model.policy.obs_to_tensor(np.asarray(shown[0].states))
+    model.policy.load_state_dict({name: torch.as_tensor(value) for name, value in learning[0].items()})
+    first, *_, last, _ = model.policy.predict_values(states).flatten().tolist()
+    assert 0 < first < last  # nearer to the goal
+
+
 @pytest.mark.usefixtures("keep_all")
-def test_a_training_with_demonstrations_goes_on_as_if_never_ended(shown: list[Trajectory], tmp_path: Path) -> None:
-    check_resumes(lambda: model_of("PPO", venv_of()), lambda: [callback(shown)], tmp_path)
+@pytest.mark.parametrize("name", ["PPO", "MaskablePPO"])
+def test_a_training_with_demonstrations_goes_on_as_if_never_ended(
+    shown: list[Trajectory], tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sb3_options.callbacks.cloning.EPISODES", 15)
+    callbacks: Any
+    callbacks, _ = check_resumes(
+        lambda: model_of(name, venv_of()), lambda: [callback(shown)], tmp_path, cuts=(0.02, 0.3, 0.7)
+    )
+    assert not callbacks[0]._cloning.waits
+
+
+def test_a_policy_is_put_back_from_a_checkpoint_between_two_rollouts() -> None:
+    model: Any = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, seed=0)
+    cloning, resumed = Cloning(), Cloning()
+    cloning.waits = True
+    before = model.policy.action_net.weight.detach().clone()
+    cloning.on_rollout_end(model)
+    restore(resumed, decode(*encode(state_of(cloning))))
+    with torch.no_grad():
+        model.policy.action_net.weight += 1.0
+    resumed.on_rollout_start(model)
+    assert torch.equal(model.policy.action_net.weight, before)
 
 
 def test_options_without_training(shown: list[Trajectory], tmp_path: Path) -> None:

@@ -118,8 +118,7 @@ def both(make: Callable[[], gym.Env[Any, Any]], *, n_envs: int = N_ENVS, **kwarg
     return single, OptionsVecEnv(DummyVecEnv([make for _ in range(n_envs)]), gamma=GAMMA, **kwargs)
 
 
-@pytest.mark.parametrize("max_runs", [None, 2])
-@pytest.mark.parametrize("reports", [False, True], ids=["plain", "availability"])
+@pytest.mark.parametrize(("reports", "max_runs"), [(False, None), (True, 2)])
 @pytest.mark.parametrize("make", CASES.values(), ids=CASES.keys())
 def test_every_environment_takes_the_same_course(
     make: Callable[[], gym.Env[Any, Any]], reports: bool, max_runs: int | None

@@ -19,8 +19,8 @@ def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
         algo="maskableppo", env="Taxi-v3", env_kwargs={"is_rainy": True, "map": "S#\nSG"}, n_timesteps=123, seed=9,
         env_wrapper="a_module:Wrapper", feature_map="a_module:phi", checkpoint_freq=60, n_envs=3,
         tensorboard_log=Path("else/where"), eval_freq=50, eval_episodes=4, progress=False,
-        vec_env="subproc", options=Path("a/run"), demonstrations=Path("shown"), max_options=2, max_new_options=None,
-        gamma=0.5, bonus="rnd", success="return:3",
+        vec_env="subproc", options=Path("a/run"), demonstrations=Path("shown"), clone=False, max_options=2,
+        max_new_options=None, gamma=0.5, bonus="rnd", success="return:3",
         n_steps=12, clip_range=0.25, policy_kwargs={"ortho_init": False}, net_arch=[3],
         discovery={"decay": 0.8, "scale": 2.5}, option={"max_duration": 9}, usefulness={"min_reached": 0.3},
     )  # fmt: skip
@@ -30,6 +30,17 @@ def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
     for each in (config, configure(algo="dqn"), configure(discovery={"segmentation": "peaks"})):
         configs.save(each, tmp_path / "config.yml")
         assert configs.load(tmp_path / "config.yml", trusted if each is config else {}) == each
+
+
+def test_a_policy_that_begins_with_demonstrations_gets_no_bonus_for_entropy() -> None:
+    entropy = {
+        (algo, clone): configure(algo=algo, demonstrations="a", clone=clone).algo_kwargs.get("ent_coef")
+        for algo in ("ppo", "trpo")
+        for clone in (True, False)
+    }
+    assert entropy == {("ppo", True): 0.0, ("ppo", False): 0.01, ("trpo", True): None, ("trpo", False): None}
+    assert configure(demonstrations="a", ent_coef=0.02).algo_kwargs["ent_coef"] == 0.02
+    assert configure().algo_kwargs["ent_coef"] == 0.01
 
 
 def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:

@@ -1,0 +1,79 @@
+"""`LastActionObservation`: the last primitive action beside the observation, as a short memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
+
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.execution.features import resolve
+from sb3_options.experience.observations import FloatArray, flatten
+
+Vector = npt.NDArray[Any]
+
+
+class LastActionObservation(gym.Wrapper[Vector, Any, Vector, Any], RecordConstructorArgs):
+    """Appends the last primitive action to the observation, one-hot; zeros after a reset.
+
+    Where an observation shows a part of the state only, a policy without memory that looks around does not know
+    which way it was turning, and may turn back and forth. Its last action tells. The feature map φ is that of the
+    environment beneath, so options go on to fit.
+
+    Args:
+        env: Its observations are vectors and its actions discrete. This wrapper goes beneath `OptionsWrapper`.
+
+    Raises:
+        TypeError: The environment has other observations or actions.
+    """
+
+    STATE = ("_last",)
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        RecordConstructorArgs.__init__(self)
+        gym.Wrapper.__init__(self, env)
+        seen, actions = env.observation_space, env.action_space
+        if not (isinstance(seen, spaces.Box) and len(seen.shape) == 1 and isinstance(actions, spaces.Discrete)):
+            raise TypeError(
+                f"LastActionObservation needs observations in a Box of one dimension and Discrete actions, got {seen} "
+                f"and {actions}: put gymnasium.wrappers.FlattenObservation beneath."
+            )
+        self._codes = np.eye(int(actions.n), dtype=seen.dtype)
+        self._first = int(actions.start)
+        self._n_seen = seen.shape[0]
+        self._last: int | None = None
+        self._features = resolve(env, None)
+        low, high = (
+            np.concatenate([bound, np.full(len(self._codes), end, dtype=seen.dtype)])
+            for bound, end in ((seen.low, 0), (seen.high, 1))
+        )
+        self.observation_space = spaces.Box(low, high, dtype=seen.dtype.type)
+
+    def reset(self, **kwargs: Any) -> tuple[Vector, dict[str, Any]]:
+        """Start an episode."""
+        observation, info = self.env.reset(**kwargs)
+        self._last = None
+        return self._with_action(observation), info
+
+    def step(self, action: Any) -> tuple[Vector, Any, bool, bool, dict[str, Any]]:
+        """One step of the environment."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._last = int(action) - self._first
+        return self._with_action(observation), reward, terminated, truncated, info
+
+    def concept_features(self, observations: Vector) -> FloatArray:
+        """φ of a batch of observations, (batch, d): that of the environment beneath."""
+        seen = np.asarray(observations)[:, : self._n_seen]
+        return flatten(seen) if self._features is None else self._features.map(seen)
+
+    def concept_groups(self) -> tuple[FeatureGroup, ...]:
+        """Which features of φ make a concept together."""
+        return () if self._features is None else self._features.groups
+
+    def _with_action(self, observation: Vector) -> Vector:
+        code = np.zeros(len(self._codes), self._codes.dtype) if self._last is None else self._codes[self._last]
+        return np.concatenate([observation, code])
