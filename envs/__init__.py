@@ -31,8 +31,17 @@ from sb3_options.envs.gridworld.maps import (
     TWO_ROOMS,
     TWO_ROOMS_MAX_STEPS,
 )
+from sb3_options.envs.last_action import LastActionObservation
 
-__all__ = ["FOUR_ROOMS", "KEY_DOOR", "KEY_FEATURE_SCALE", "TWO_ROOMS", "Direction", "GridWorld"]
+__all__ = [
+    "FOUR_ROOMS",
+    "KEY_DOOR",
+    "KEY_FEATURE_SCALE",
+    "TWO_ROOMS",
+    "Direction",
+    "GridWorld",
+    "LastActionObservation",
+]
 
 
 def _register(name: str, map: str, max_steps: int) -> None:

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from sb3_options.density.diverse_density import DiverseDensity
     from sb3_options.execution.concepts import ConceptsInObservation, WithoutConcepts
     from sb3_options.execution.demonstrations import record_demonstrations
-    from sb3_options.execution.last_action import LastActionObservation
     from sb3_options.execution.options_vec_env import OptionsVecEnv
     from sb3_options.execution.wrapper import OptionsWrapper
     from sb3_options.experience.recording import logged_trajectory
@@ -26,7 +25,6 @@ __version__ = "0.2.0.dev0"
 __all__ = [
     "ConceptsInObservation",
     "DiverseDensity",
-    "LastActionObservation",
     "MacroQ",
     "Option",
     "OptionBank",
@@ -54,7 +52,6 @@ _MODULES = {
     "ConceptsInObservation": "sb3_options.execution.concepts",
     "WithoutConcepts": "sb3_options.execution.concepts",
     "record_demonstrations": "sb3_options.execution.demonstrations",
-    "LastActionObservation": "sb3_options.execution.last_action",
     "OptionsVecEnv": "sb3_options.execution.options_vec_env",
     "OptionsWrapper": "sb3_options.execution.wrapper",
     "logged_trajectory": "sb3_options.experience.recording",

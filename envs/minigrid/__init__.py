@@ -3,7 +3,7 @@
 Needs the package ``minigrid`` (``pip install "sb3-options[minigrid]"``).
 """
 
-from sb3_options.envs.minigrid.ids import KEYWORDS, MODULE, is_minigrid, make, qualified, require
+from sb3_options.envs.minigrid.ids import MODULE, is_minigrid, make, qualified, require
 from sb3_options.envs.minigrid.retina import FEATURES, KINDS, concept_groups, feature_names, retina
 from sb3_options.envs.minigrid.settings import DISCOVERY
 from sb3_options.envs.minigrid.wrapper import MiniGridWrapper
@@ -11,7 +11,6 @@ from sb3_options.envs.minigrid.wrapper import MiniGridWrapper
 __all__ = [
     "DISCOVERY",
     "FEATURES",
-    "KEYWORDS",
     "KINDS",
     "MODULE",
     "MiniGridWrapper",

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, overload
 
 import gymnasium as gym
 
+from sb3_options.envs.last_action import LastActionObservation
 from sb3_options.envs.minigrid.wrapper import MiniGridWrapper
 from sb3_options.extras import how_to_install
 
@@ -15,24 +16,37 @@ PREFIXES = ("MiniGrid-", "BabyAI-")
 MODULE = "minigrid:"
 """Before an id: the module that registers it."""
 
-KEYWORDS = ("mission", "asked")
-"""Keyword arguments of `make` that are the wrapper's, and not the environment's."""
+
+@overload
+def make(
+    env_id: str, *, mission: bool = True, asked: bool = True, last_action: Literal[False] = False, **kwargs: Any
+) -> MiniGridWrapper: ...
 
 
-def make(env_id: str, *, mission: bool = True, asked: bool = True, **kwargs: Any) -> MiniGridWrapper:
+@overload
+def make(
+    env_id: str, *, mission: bool = True, asked: bool = True, last_action: bool, **kwargs: Any
+) -> gym.Env[Any, Any]: ...
+
+
+def make(
+    env_id: str, *, mission: bool = True, asked: bool = True, last_action: bool = False, **kwargs: Any
+) -> gym.Env[Any, Any]:
     """An environment of MiniGrid by its id, in a `MiniGridWrapper`.
 
     Args:
         env_id: Such as ``MiniGrid-DoorKey-5x5-v0``.
         mission: As `MiniGridWrapper` has it.
         asked: As `MiniGridWrapper` has it.
+        last_action: Whether it is in a `LastActionObservation`, too.
         **kwargs: Of ``gymnasium.make``.
 
     Raises:
         ModuleNotFoundError: The package ``minigrid`` is not installed.
     """
     require()
-    return MiniGridWrapper(gym.make(env_id, **kwargs), mission=mission, asked=asked)
+    env = MiniGridWrapper(gym.make(env_id, **kwargs), mission=mission, asked=asked)
+    return LastActionObservation(env) if last_action else env
 
 
 def is_minigrid(env_id: str) -> bool:

@@ -12,7 +12,7 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from experiments.common.seeds import Result
 from experiments.demonstrations.experts import expert_of
-from sb3_options import LastActionObservation, OptionsWrapper, record_demonstrations
+from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.demonstrated import FAILURES
 from sb3_options.envs.minigrid import DISCOVERY, make
@@ -76,7 +76,7 @@ def run(task: str, arm: Arm, episodes: int, seed: int) -> Result:
     max_options = MAX_OPTIONS if "options" in arm else 0
 
     def wrapped() -> OptionsWrapper:
-        return OptionsWrapper(LastActionObservation(make(task, mission=task in MISSIONS)), max_options, gamma=GAMMA)
+        return OptionsWrapper(make(task, mission=task in MISSIONS, last_action=True), max_options, gamma=GAMMA)
 
     env = wrapped()
     shown = record_demonstrations(env, expert_of(env), episodes, seed=FIRST_SEED + 1000 * seed)

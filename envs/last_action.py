@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -9,10 +10,6 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
-
-from sb3_options.density.groups import FeatureGroup
-from sb3_options.execution.features import resolve
-from sb3_options.experience.observations import FloatArray, flatten
 
 Vector = npt.NDArray[Any]
 
@@ -46,7 +43,11 @@ class LastActionObservation(gym.Wrapper[Vector, Any, Vector, Any], RecordConstru
         self._first = int(actions.start)
         self._n_seen = seen.shape[0]
         self._last: int | None = None
-        self._features = resolve(env, None)
+        own = env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None
+        owner = getattr(own, "__self__", None)
+        fits = getattr(owner, "observation_space", seen) == seen  # a wrapper between may have changed observations
+        self._own = own if fits else None
+        self._groups = getattr(owner, "concept_groups", None) if fits else None
         low, high = (
             np.concatenate([bound, np.full(len(self._codes), end, dtype=seen.dtype)])
             for bound, end in ((seen.low, 0), (seen.high, 1))
@@ -65,14 +66,14 @@ class LastActionObservation(gym.Wrapper[Vector, Any, Vector, Any], RecordConstru
         self._last = int(action) - self._first
         return self._with_action(observation), reward, terminated, truncated, info
 
-    def concept_features(self, observations: Vector) -> FloatArray:
-        """φ of a batch of observations, (batch, d): that of the environment beneath."""
+    def concept_features(self, observations: Vector) -> npt.NDArray[np.float64]:
+        """φ of a batch of observations, (batch, d): that of the environment beneath, or its observations themselves."""
         seen = np.asarray(observations)[:, : self._n_seen]
-        return flatten(seen) if self._features is None else self._features.map(seen)
+        return np.asarray(seen if self._own is None else self._own(seen), dtype=np.float64)
 
-    def concept_groups(self) -> tuple[FeatureGroup, ...]:
-        """Which features of φ make a concept together."""
-        return () if self._features is None else self._features.groups
+    def concept_groups(self) -> Iterable[Mapping[str, Any]]:
+        """Which features of φ make a concept together; none where all do."""
+        return () if self._groups is None else self._groups()
 
     def _with_action(self, observation: Vector) -> Vector:
         code = np.zeros(len(self._codes), self._codes.dtype) if self._last is None else self._codes[self._last]

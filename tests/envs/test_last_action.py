@@ -9,7 +9,8 @@ from gymnasium import spaces
 from gymnasium.wrappers import FlattenObservation
 from stable_baselines3.common.env_checker import check_env
 
-from sb3_options import LastActionObservation, OptionsWrapper
+from sb3_options import OptionsWrapper
+from sb3_options.envs import LastActionObservation
 from sb3_options.envs.minigrid import make
 from sb3_options.execution import layers
 from tests.support.helpers import equal
