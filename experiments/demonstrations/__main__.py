@@ -1,6 +1,6 @@
 """``python -m experiments.demonstrations --runs 8 --out FOLDER``: frames to 0.8 success from a few demonstrations.
 
-MaskablePPO with the options discovered in them, with its policy cloned, and with both. Writes ``results.json``.
+MaskablePPO with the options discovered in them, with its policy cloned, and with both. It writes ``results.json``.
 Interrupted, it goes on where it was.
 """
 
@@ -26,12 +26,14 @@ class Study(Flags):
 
     Attributes:
         episodes: That are shown.
+        noise: Share of the expert's actions that are random.
         tasks: Which.
         arms: What is compared.
     """
 
     runs: int = 8
     episodes: int = 100
+    noise: float = 0.0
     tasks: tuple[str, ...] = tuple(TASKS)
     arms: tuple[Arm, ...] = ARMS
 
@@ -39,11 +41,21 @@ class Study(Flags):
 def main(study: Study) -> None:
     """Run the study, and write and print what it found."""
     parts = [
-        Part(f"{task}: {arm}", partial(run, task, arm, study.episodes), study.out / task / arm.replace(", ", "-"))
+        Part(
+            f"{task}: {arm}",
+            partial(run, task, arm, study.episodes, study.noise),
+            study.out / task / arm.replace(", ", "-"),
+        )
         for task in study.tasks
         for arm in study.arms
     ]
-    settings = {"episodes": study.episodes, "frames": TASKS, "learned": [LEARNED, EPISODES], "ppo": PPO}
+    settings: dict[str, Any] = {
+        "episodes": study.episodes,
+        "noise": study.noise,
+        "frames": TASKS,
+        "learned": [LEARNED, EPISODES],
+        "ppo": PPO,
+    }
     results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
     summary: dict[str, dict[str, Any]] = {}
     for name, runs in results.items():
@@ -52,7 +64,8 @@ def main(study: Study) -> None:
         ratio = iqm_ratio(first, frames, paired=True)
         summary[name] = {**steps_until(runs, "learned", TASKS[task]), "ratio": ratio._asdict()}
     command = f"python -m experiments.demonstrations --runs {study.runs} --first-seed {study.first_seed}"
-    command += f" --episodes {study.episodes} --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"
+    command += f" --episodes {study.episodes} --noise {study.noise}"
+    command += f" --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"
     write(study.out, {"command": command, "settings": settings, "summary": summary, "runs": results}, {})
     table = Table("", "learned", "frames until then", "frames of the first arm as a multiple")
     for name, row in summary.items():

@@ -71,7 +71,7 @@ class UntilLearned(BaseCallback):
         return len(self.recent) == EPISODES and float(np.mean(self.recent)) >= LEARNED
 
 
-def run(task: str, arm: Arm, episodes: int, seed: int) -> Result:
+def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
     """Frames until learned, those of the demonstrations and of random failures included; None where it is not."""
     max_options = MAX_OPTIONS if "options" in arm else 0
 
@@ -79,7 +79,7 @@ def run(task: str, arm: Arm, episodes: int, seed: int) -> Result:
         return OptionsWrapper(make(task, mission=task in MISSIONS, last_action=True), max_options, gamma=GAMMA)
 
     env = wrapped()
-    shown = record_demonstrations(env, expert_of(env), episodes, seed=FIRST_SEED + 1000 * seed)
+    shown = record_demonstrations(env, expert_of(env, noise, seed), episodes, seed=FIRST_SEED + 1000 * seed)
     failures = env.random_trajectories(min(episodes, FAILURES), FIRST_SEED + 1000 * seed) if max_options else []
     frames = sum(map(len, [*shown, *failures]))
     discovery = SubgoalDiscoveryCallback(

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
 Cell = tuple[int, int]
 
@@ -14,22 +15,32 @@ MOVES = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """Of the agent's four directions."""
 
 
-def expert_of(env: gym.Env[Any, Any]) -> Callable[[Any], int]:
-    """A policy: MiniGrid's own BabyAI bot, where it understands the task, or else `planned`."""
+def expert_of(env: gym.Env[Any, Any], noise: float = 0.0, seed: int = 0) -> Callable[[Any], int]:
+    """A policy: MiniGrid's own BabyAI bot, where it understands the task, or else `planned`.
+
+    Args:
+        env: The environment that it acts in.
+        noise: Share of its actions that are random.
+        seed: Of these.
+    """
     from minigrid.envs.babyai.core.roomgrid_level import RoomGridLevel
     from minigrid.utils.baby_ai_bot import BabyAIBot
 
     game: Any = env.unwrapped
-    if not isinstance(game, RoomGridLevel):
-        return lambda _: planned(game)
+    random = np.random.default_rng(seed)
     bot: Any = None
     last: Any = None
 
     def act(_: Any) -> int:
         nonlocal bot, last
-        if game.step_count == 0:
-            bot, last = BabyAIBot(game), None  # type: ignore[no-untyped-call]
-        last = bot.replan(last)
+        if not isinstance(game, RoomGridLevel):
+            last = planned(game)
+        else:
+            if game.step_count == 0:
+                bot, last = BabyAIBot(game), None  # type: ignore[no-untyped-call]
+            last = bot.replan(last)
+        if random.random() < noise:
+            last = game.actions(random.integers(len(game.actions)))
         return int(last)
 
     return act

@@ -3,12 +3,39 @@
 import pytest
 
 from experiments.demonstrations.conditions import ARMS, run
+from experiments.demonstrations.experts import expert_of
+from sb3_options import record_demonstrations
+from sb3_options.envs.minigrid import make
+
+
+@pytest.mark.parametrize(
+    ("task", "longest"),
+    [
+        ("MiniGrid-ObstructedMaze-1Dl-v0", 40),
+        ("MiniGrid-LockedRoom-v0", 80),
+        ("MiniGrid-ObstructedMaze-2Dlh-v0", 80),
+        ("BabyAI-KeyCorridorS3R3-v0", 150),
+    ],
+)
+def test_experts_succeed(task: str, longest: int) -> None:
+    env = make(task, mission=False)
+    shown = record_demonstrations(env, expert_of(env), 4, seed=1)
+    assert sum(bool(each.is_success) for each in shown) >= 3
+    assert min(map(len, shown)) <= longest
+
+
+def test_an_expert_errs_as_often_as_it_is_told() -> None:
+    env = make("MiniGrid-LockedRoom-v0", mission=False)
+    env.reset(seed=0)
+    right, noisy = (expert_of(env, noise, seed=3) for noise in (0.0, 0.5))
+    wrong = sum(right(None) != noisy(None) for _ in range(200))
+    assert 60 < wrong < 110  # one of seven random actions is right
 
 
 @pytest.mark.slow
 def test_a_cloned_policy_with_options_succeeds_before_it_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("experiments.demonstrations.conditions.TASKS", {"BabyAI-KeyCorridorS3R3-v0": 20_000})
-    result = run("BabyAI-KeyCorridorS3R3-v0", ARMS[0], 20, 0)
+    result = run("BabyAI-KeyCorridorS3R3-v0", ARMS[0], 20, 0.0, 0)
     assert len(result["options"]) >= 3
     assert result["demonstrations"] > 1000
     assert result["success"] > 0.1
