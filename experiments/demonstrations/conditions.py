@@ -24,6 +24,7 @@ ARMS: tuple[Arm, ...] = get_args(Arm)
 TASKS = {
     "BabyAI-KeyCorridorS3R3-v0": 200_000,
     "BabyAI-KeyCorridorS4R3-v0": 300_000,
+    "BabyAI-KeyCorridorS6R3-v0": 300_000,
     "MiniGrid-ObstructedMaze-1Dl-v0": 400_000,
     "MiniGrid-ObstructedMaze-2Dlh-v0": 300_000,
     "MiniGrid-LockedRoom-v0": 300_000,
