@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import os
 from collections.abc import Iterable, Mapping
 from itertools import islice
@@ -31,6 +32,8 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.state import restore
+
+logger = logging.getLogger("sb3_options")
 
 SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is as many episodes
 
@@ -191,14 +194,15 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             elif run.inside:
                 self._keeper.useful.add(run, env, success=None)
             for segment in info.pop("segments", ()):
-                self._episode_ended(segment, {})
+                self._episode_ended(segment, {}, env)
                 # An algorithm without rollouts dumps its log when episodes end, and there may be no end.
                 if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
                     self.logger.dump(self.num_timesteps)
         return goes_on
 
     def _on_rollout_start(self) -> None:
-        self._cloning.on_rollout_start(self.model)
+        if self._cloning.on_rollout_start(self.model) and self.verbose:
+            print(f"The cloned policy begins to learn, after {self.num_timesteps:,} steps")
         super()._on_rollout_start()
 
     def _on_rollout_end(self) -> None:
@@ -209,7 +213,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self, trajectory: Trajectory, info: dict[str, Any], env: int = 0, run: OptionRun | None = None
     ) -> None:
         self.episodes += 1
-        self._cloning.add(trajectory)
+        self._cloning.add(trajectory, env)
         useful = self._keeper.useful
         try:
             success = judged(self.success, trajectory)
@@ -259,6 +263,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             return
         self._ended = True
         self._cloning.on_rollout_start(self.model)
+        if self._cloning.waits:
+            logger.warning("Training ended before the cloned policy began to learn: too few episodes have ended.")
         super()._on_training_end()
         if self.closed or len(self.bank):  # without those that were closed, and as the others are now
             save_or_warn(self._keeper.options.bank, self.save_path)

@@ -19,13 +19,14 @@ class LastActionObservation(gym.Wrapper[Vector, Any, Vector, Any], RecordConstru
 
     Where an observation shows a part of the state only, a policy without memory that looks around does not know
     which way it was turning, and may turn back and forth. Its last action tells. The feature map φ is that of the
-    environment beneath, so options go on to fit.
+    environment beneath, so options whose policies act on features fit with this wrapper and without.
 
     Args:
         env: Its observations are vectors and its actions discrete. This wrapper goes beneath `OptionsWrapper`.
 
     Raises:
         TypeError: The environment has other observations or actions.
+        ValueError: Its ``concept_features`` are for observations that a wrapper has changed.
     """
 
     STATE = ("_last",)
@@ -45,9 +46,13 @@ class LastActionObservation(gym.Wrapper[Vector, Any, Vector, Any], RecordConstru
         self._last: int | None = None
         own = env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None
         owner = getattr(own, "__self__", None)
-        fits = getattr(owner, "observation_space", seen) == seen  # a wrapper between may have changed observations
-        self._own = own if fits else None
-        self._groups = getattr(owner, "concept_groups", None) if fits else None
+        if getattr(owner, "observation_space", seen) != seen:
+            raise ValueError(
+                f"concept_features of {type(owner).__name__} is for its own observations, and a wrapper beneath "
+                "LastActionObservation has changed them: leave that wrapper out, or put a concept_features above it."
+            )
+        self._own = own
+        self._groups = getattr(owner, "concept_groups", None)
         low, high = (
             np.concatenate([bound, np.full(len(self._codes), end, dtype=seen.dtype)])
             for bound, end in ((seen.low, 0), (seen.high, 1))

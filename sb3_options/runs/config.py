@@ -36,6 +36,9 @@ ALGORITHMS = {
 }
 """Module and class of each algorithm. The first is the default: its options run in their initiation sets only."""
 
+CLONING = ("maskableppo", "ppo", "a2c", "trpo")
+"""Algorithms whose policy can be cloned from demonstrations."""
+
 OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
 MAX_SEED = 2**32 - 1
@@ -160,8 +163,9 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
                 defaults |= _flat(block)
         # An environment's settings may name arguments of another algorithm.
         defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
-        if given.get("demonstrations") and given.get("clone", True) and f"{ARGUMENT}ent_coef" in defaults:
-            defaults[f"{ARGUMENT}ent_coef"] = 0.0  # it would undo what is cloned
+        cloned = algo in CLONING and given.get("demonstrations") and given.get("clone", True)
+        if cloned and f"{ARGUMENT}ent_coef" in defaults:
+            defaults[f"{ARGUMENT}ent_coef"] = 0.0  # a bonus for entropy would undo it
         own = _nested(given)["algo_kwargs"]
         if own:
             from sb3_options.runs.algorithms import checked_arguments  # which imports SB3

@@ -236,7 +236,8 @@ class Watches(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         weights = {name: value.numpy().copy() for name, value in self.model.policy.state_dict().items()}
-        self.seen.append((self.cloning.waits, weights))
+        self.seen.append((bool(self.cloning.waits), weights))
+        assert not self.model.policy.training
 
     def _on_step(self) -> bool:
         return True
@@ -278,10 +279,52 @@ def test_a_training_with_demonstrations_goes_on_as_if_never_ended(
     assert not callbacks[0]._cloning.waits
 
 
+def test_every_environment_gives_as_many_episodes_of_the_cloned_policy(shown: list[Trajectory]) -> None:
+    """Those of the first to end would be successes, for failures last until the time limit."""
+    model = PPO("MlpPolicy", make_vec_env(optioned_rooms, 3, seed=0), gamma=0.9, seed=0)
+    cloning = Cloning()
+    cloning.begin(model, OptionBank(4, 4), shown)
+    assert cloning.waits == [7, 7, 7]
+    for env in (0, 1):
+        for _ in range(30):
+            cloning.add(shown[0], env)
+    assert not cloning.on_rollout_start(model)
+    for _ in range(7):
+        assert len(cloning._episodes) < 21
+        cloning.add(shown[0], 2)
+    assert len(cloning._episodes) == 21
+    assert cloning.on_rollout_start(model)
+    assert not cloning.waits
+
+
+def test_an_episode_that_was_cut_off_goes_on_with_the_value_of_its_end() -> None:
+    """Each step has a reward of 1, so every state is worth 1 / (1 - γ)."""
+    model: Any = PPO("MlpPolicy", optioned_rooms(1), gamma=0.5, seed=0)
+    places = [np.eye(45, dtype=np.float32)[i] for i in (0, 1, 0)]
+    for terminated, worth in ((False, [2.0, 2.0]), (True, [1.5, 1.0])):
+        episode = dataclasses.replace(
+            trajectory_of(places), rewards=np.ones(2), terminated=terminated, truncated=not terminated
+        )
+        cloning = Cloning()
+        cloning.waits = [1]
+        cloning.add(episode, 0)
+        cloning.on_rollout_start(model)
+        states, _ = model.policy.obs_to_tensor(np.stack(places[:2]))
+        assert model.policy.predict_values(states).flatten().tolist() == pytest.approx(worth, abs=0.1)
+
+
+def test_a_policy_that_still_waits_in_the_end_is_told_of(
+    shown: list[Trajectory], caplog: pytest.LogCaptureFixture
+) -> None:
+    model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=32, batch_size=32, seed=0)
+    model.learn(64, callback(shown))
+    assert "before the cloned policy began to learn" in caplog.text
+
+
 def test_a_policy_is_put_back_from_a_checkpoint_between_two_rollouts() -> None:
     model: Any = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, seed=0)
     cloning, resumed = Cloning(), Cloning()
-    cloning.waits = True
+    cloning.waits = [1]
     before = model.policy.action_net.weight.detach().clone()
     cloning.on_rollout_end(model)
     restore(resumed, decode(*encode(state_of(cloning))))

@@ -35,10 +35,17 @@ def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
 def test_a_policy_that_begins_with_demonstrations_gets_no_bonus_for_entropy() -> None:
     entropy = {
         (algo, clone): configure(algo=algo, demonstrations="a", clone=clone).algo_kwargs.get("ent_coef")
-        for algo in ("ppo", "trpo")
+        for algo in ("ppo", "trpo", "recurrentppo")
         for clone in (True, False)
     }
-    assert entropy == {("ppo", True): 0.0, ("ppo", False): 0.01, ("trpo", True): None, ("trpo", False): None}
+    assert entropy == {
+        ("ppo", True): 0.0,
+        ("ppo", False): 0.01,
+        ("trpo", True): None,
+        ("trpo", False): None,
+        ("recurrentppo", True): 0.01,  # it is not cloned
+        ("recurrentppo", False): 0.01,
+    }
     assert configure(demonstrations="a", ent_coef=0.02).algo_kwargs["ent_coef"] == 0.02
     assert configure().algo_kwargs["ent_coef"] == 0.01
 
