@@ -17,7 +17,7 @@ from rich.table import Table
 from experiments.common.intervals import capped, iqm_ratio, steps_until
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.demonstrations.conditions import ARMS, EPISODES, LEARNED, PPO, TASKS, Arm, run
+from experiments.demonstrations.conditions import ARMS, CLONED, EPISODES, LEARNED, PPO, TASKS, Arm, run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +55,7 @@ def main(study: Study) -> None:
         "frames": TASKS,
         "learned": [LEARNED, EPISODES],
         "ppo": PPO,
+        "cloned": CLONED,
     }
     results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
     summary: dict[str, dict[str, Any]] = {}

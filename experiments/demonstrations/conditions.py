@@ -47,7 +47,10 @@ PPO: dict[str, Any] = {
     "gae_lambda": 0.95,
     "ent_coef": 0.01,
 }
-"""Those of ``train.py`` for MiniGrid. After cloning there is no bonus for entropy, which would undo it."""
+"""Those of ``train.py`` for MiniGrid."""
+
+CLONED: dict[str, Any] = {"learning_rate": 3e-4, "ent_coef": 0.0}
+"""What it changes after cloning."""
 
 FIRST_SEED = 10_000
 """Of the episodes that are shown; those of training have others."""
@@ -90,7 +93,7 @@ def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
         max_new_options=None if max_options else 0,
     )
     end = UntilLearned()
-    ppo = PPO | ({"ent_coef": 0.0} if "cloning" in arm else {})
+    ppo = PPO | (CLONED if "cloning" in arm else {})
     model = MaskablePPO(
         "MlpPolicy",
         make_vec_env(wrapped, N_ENVS, seed=seed),

@@ -39,6 +39,9 @@ ALGORITHMS = {
 CLONING = ("maskableppo", "ppo", "a2c", "trpo")
 """Algorithms whose policy can be cloned from demonstrations."""
 
+CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003}
+"""Arguments for a cloned policy: a bonus for entropy or large updates would undo it."""
+
 OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
 MAX_SEED = 2**32 - 1
@@ -163,9 +166,8 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
                 defaults |= _flat(block)
         # An environment's settings may name arguments of another algorithm.
         defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
-        cloned = algo in CLONING and given.get("demonstrations") and given.get("clone", True)
-        if cloned and f"{ARGUMENT}ent_coef" in defaults:
-            defaults[f"{ARGUMENT}ent_coef"] = 0.0  # a bonus for entropy would undo it
+        if algo in CLONING and given.get("demonstrations") and given.get("clone", True):
+            defaults |= {name: value for name, value in _flat(CLONED).items() if name in defaults}
         own = _nested(given)["algo_kwargs"]
         if own:
             from sb3_options.runs.algorithms import checked_arguments  # which imports SB3

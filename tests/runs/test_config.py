@@ -32,22 +32,17 @@ def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
         assert configs.load(tmp_path / "config.yml", trusted if each is config else {}) == each
 
 
-def test_a_policy_that_begins_with_demonstrations_gets_no_bonus_for_entropy() -> None:
-    entropy = {
-        (algo, clone): configure(algo=algo, demonstrations="a", clone=clone).algo_kwargs.get("ent_coef")
-        for algo in ("ppo", "trpo", "recurrentppo")
-        for clone in (True, False)
-    }
-    assert entropy == {
-        ("ppo", True): 0.0,
-        ("ppo", False): 0.01,
-        ("trpo", True): None,
-        ("trpo", False): None,
-        ("recurrentppo", True): 0.01,  # it is not cloned
-        ("recurrentppo", False): 0.01,
-    }
-    assert configure(demonstrations="a", ent_coef=0.02).algo_kwargs["ent_coef"] == 0.02
-    assert configure().algo_kwargs["ent_coef"] == 0.01
+@pytest.mark.parametrize("algo", ["maskableppo", "ppo", "a2c", "trpo", "recurrentppo", "dqn"])
+def test_a_cloned_policy_gets_small_updates_and_no_bonus_for_entropy(algo: str) -> None:
+    usual = configure(algo=algo).algo_kwargs
+    expected = dict(usual)
+    if algo in ("maskableppo", "ppo", "a2c"):
+        expected |= {"ent_coef": 0.0, "learning_rate": 3e-4}
+    elif algo == "trpo":  # it has no bonus, and its updates are limited
+        expected |= {"learning_rate": 3e-4}
+    assert configure(algo=algo, demonstrations="a").algo_kwargs == expected
+    assert configure(algo=algo, demonstrations="a", clone=False).algo_kwargs == usual
+    assert configure(algo=algo, demonstrations="a", learning_rate=0.5).algo_kwargs["learning_rate"] == 0.5
 
 
 def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:
