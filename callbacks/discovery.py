@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import os
 from collections.abc import Iterable, Mapping
 from itertools import islice
 from typing import Any
 
 from sb3_options.callbacks.checks import check_training
-from sb3_options.callbacks.cloning import Cloning, can_clone
+from sb3_options.callbacks.cloning import can_clone, clone
 from sb3_options.callbacks.demonstrated import labelled, with_failures
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.keeper import ClosedOption, OptionKeeper
@@ -32,8 +31,6 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.state import restore
-
-logger = logging.getLogger("sb3_options")
 
 SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is as many episodes
 
@@ -74,7 +71,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         TypeError: An argument is of the wrong kind.
     """
 
-    STATE = ("episodes", "history", "discovery", "_keeper", "_cloning")
+    STATE = ("episodes", "history", "discovery", "_keeper")
 
     def __init__(
         self,
@@ -112,7 +109,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.history: list[EpisodeRecord] = []
         self.discovery: Discovery | None = None
         judging = given_as(UsefulnessSettings, {} if usefulness is None else usefulness)
-        self._cloning = Cloning()
         self._keeper = OptionKeeper(self.option_settings, judging)
         self.discoveries = self._keeper.discoveries
         self.closed = self._keeper.closed
@@ -173,7 +169,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             options = self._keeper.options
             options.on_rollout_start()  # none has started, and the heads of options must be open
             successes = [each for each, success in shown if success]
-            probability = self._cloning.begin(self.model, options.bank, successes)
+            probability = clone(self.model, options.bank, successes)
             if self.verbose:
                 print(f"Cloned {len(successes)} demonstrations: mean probability of a decision {probability:.2f}")
 
@@ -194,26 +190,16 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             elif run.inside:
                 self._keeper.useful.add(run, env, success=None)
             for segment in info.pop("segments", ()):
-                self._episode_ended(segment, {}, env)
+                self._episode_ended(segment, {})
                 # An algorithm without rollouts dumps its log when episodes end, and there may be no end.
                 if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
                     self.logger.dump(self.num_timesteps)
         return goes_on
 
-    def _on_rollout_start(self) -> None:
-        if self._cloning.on_rollout_start(self.model) and self.verbose:
-            print(f"The cloned policy begins to learn, after {self.num_timesteps:,} steps")
-        super()._on_rollout_start()
-
-    def _on_rollout_end(self) -> None:
-        super()._on_rollout_end()
-        self._cloning.on_rollout_end(self.model)
-
     def _episode_ended(
         self, trajectory: Trajectory, info: dict[str, Any], env: int = 0, run: OptionRun | None = None
     ) -> None:
         self.episodes += 1
-        self._cloning.add(trajectory, env)
         useful = self._keeper.useful
         try:
             success = judged(self.success, trajectory)
@@ -262,9 +248,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self._ended:  # rl-zoo3 ends training twice, and when it was refused
             return
         self._ended = True
-        self._cloning.on_rollout_start(self.model)
-        if self._cloning.waits:
-            logger.warning("Training ended before the cloned policy began to learn: too few episodes have ended.")
         super()._on_training_end()
         if self.closed or len(self.bank):  # without those that were closed, and as the others are now
             save_or_warn(self._keeper.options.bank, self.save_path)

@@ -8,7 +8,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
 from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -24,11 +23,8 @@ from sb3_options import (
     save_demonstrations,
 )
 from sb3_options.callbacks import SubgoalDiscoveryCallback, discover
-from sb3_options.callbacks.cloning import Cloning
-from sb3_options.checkpoints.tree import decode, encode
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
-from sb3_options.state import restore, state_of
 from tests.callbacks.test_checkpoint_resuming import check_resumes, model_of, venv_of
 from tests.support.documents import ROOT, python_of
 from tests.support.helpers import equal, table_option, trajectory_of
@@ -226,112 +222,12 @@ def test_other_learners_are_given_options_alone(shown: list[Trajectory], algorit
     assert len(cloned(model, shown).bank) == 1
 
 
-class Watches(BaseCallback):
-    """Notes the policy with which each rollout starts, and whether it waits to learn."""
-
-    def __init__(self, cloning: Cloning) -> None:
-        super().__init__()
-        self.cloning = cloning
-        self.seen: list[tuple[bool, dict[str, Any]]] = []
-
-    def _on_rollout_start(self) -> None:
-        weights = {name: value.numpy().copy() for name, value in self.model.policy.state_dict().items()}
-        self.seen.append((bool(self.cloning.waits), weights))
-        assert not self.model.policy.training
-
-    def _on_step(self) -> bool:
-        return True
-
-
-@pytest.mark.parametrize("name", ["PPO", "A2C", "TRPO", "MaskablePPO"])
-def test_the_policy_stays_as_it_is_until_the_value_function_knows_its_returns(
-    shown: list[Trajectory], name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sb3_options.callbacks.cloning.EPISODES", 15)
-    model = model_of(name, make_vec_env(optioned_rooms, 2, seed=0))
-    discovery = callback(shown)
-    watches = Watches(discovery._cloning)
-    model.learn(2_000, [discovery, watches])
-    waiting = [weights for waits, weights in watches.seen if waits]
-    learning = [weights for waits, weights in watches.seen if not waits]
-    assert len(waiting) >= 2
-    assert all(equal(weights, waiting[0]) for weights in waiting)
-    values = {name for name in learning[0] if not equal(learning[0][name], waiting[0][name])}
-    assert values
-    assert all("value_net" in name for name in values)
-    assert not equal(learning[-1]["action_net.weight"], waiting[0]["action_net.weight"])
-    states, _ = model.policy.obs_to_tensor(np.asarray(shown[0].states))
-    model.policy.load_state_dict({name: torch.as_tensor(value) for name, value in learning[0].items()})
-    first, *_, last, _ = model.policy.predict_values(states).flatten().tolist()
-    assert 0 < first < last  # nearer to the goal
-
-
 @pytest.mark.usefixtures("keep_all")
 @pytest.mark.parametrize("name", ["PPO", "MaskablePPO"])
 def test_a_training_with_demonstrations_goes_on_as_if_never_ended(
-    shown: list[Trajectory], tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+    shown: list[Trajectory], tmp_path: Path, name: str
 ) -> None:
-    monkeypatch.setattr("sb3_options.callbacks.cloning.EPISODES", 15)
-    callbacks: Any
-    callbacks, _ = check_resumes(
-        lambda: model_of(name, venv_of()), lambda: [callback(shown)], tmp_path, cuts=(0.02, 0.3, 0.7)
-    )
-    assert not callbacks[0]._cloning.waits
-
-
-def test_every_environment_gives_as_many_episodes_of_the_cloned_policy(shown: list[Trajectory]) -> None:
-    """Those of the first to end would be successes, for failures last until the time limit."""
-    model = PPO("MlpPolicy", make_vec_env(optioned_rooms, 3, seed=0), gamma=0.9, seed=0)
-    cloning = Cloning()
-    cloning.begin(model, OptionBank(4, 4), shown)
-    assert cloning.waits == [7, 7, 7]
-    for env in (0, 1):
-        for _ in range(30):
-            cloning.add(shown[0], env)
-    assert not cloning.on_rollout_start(model)
-    for _ in range(7):
-        assert len(cloning._episodes) < 21
-        cloning.add(shown[0], 2)
-    assert len(cloning._episodes) == 21
-    assert cloning.on_rollout_start(model)
-    assert not cloning.waits
-
-
-def test_an_episode_that_was_cut_off_goes_on_with_the_value_of_its_end() -> None:
-    """Each step has a reward of 1, so every state is worth 1 / (1 - γ)."""
-    model: Any = PPO("MlpPolicy", optioned_rooms(1), gamma=0.5, seed=0)
-    places = [np.eye(45, dtype=np.float32)[i] for i in (0, 1, 0)]
-    for terminated, worth in ((False, [2.0, 2.0]), (True, [1.5, 1.0])):
-        episode = dataclasses.replace(
-            trajectory_of(places), rewards=np.ones(2), terminated=terminated, truncated=not terminated
-        )
-        cloning = Cloning()
-        cloning.waits = [1]
-        cloning.add(episode, 0)
-        cloning.on_rollout_start(model)
-        states, _ = model.policy.obs_to_tensor(np.stack(places[:2]))
-        assert model.policy.predict_values(states).flatten().tolist() == pytest.approx(worth, abs=0.1)
-
-
-def test_a_policy_that_still_waits_in_the_end_is_told_of(
-    shown: list[Trajectory], caplog: pytest.LogCaptureFixture
-) -> None:
-    model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=32, batch_size=32, seed=0)
-    model.learn(64, callback(shown))
-    assert "before the cloned policy began to learn" in caplog.text
-
-
-def test_a_policy_is_put_back_from_a_checkpoint_between_two_rollouts() -> None:
-    model: Any = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, seed=0)
-    cloning, resumed = Cloning(), Cloning()
-    cloning.waits = [1]
-    before = model.policy.action_net.weight.detach().clone()
-    cloning.on_rollout_end(model)
-    restore(resumed, decode(*encode(state_of(cloning))))
-    with torch.no_grad():
-        model.policy.action_net.weight += 1.0
-    resumed.on_rollout_start(model)
-    assert torch.equal(model.policy.action_net.weight, before)
+    check_resumes(lambda: model_of(name, venv_of()), lambda: [callback(shown)], tmp_path)
 
 
 def test_options_without_training(shown: list[Trajectory], tmp_path: Path) -> None:
