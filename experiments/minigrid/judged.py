@@ -102,7 +102,7 @@ def train(study: Study, task: str, frames: int, seed: int, options: Path | None,
         record_demonstrations(env, expert_of(env), study.shown, seed=FIRST_SEED + 1000 * seed) if study.shown else None
     )
     judging = {} if study.judge else {"min_reached": 0}
-    discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness=judging, demonstrations=shown)
+    discovery = SubgoalDiscoveryCallback(**DISCOVERY, usefulness=judging, demonstrations=shown, clone=False)
     notes = Notes(discovery, stop=study.until_learned and save is None)
     began = time.process_time()
     model.learn(frames, callback=[discovery, notes])
