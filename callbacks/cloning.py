@@ -17,8 +17,12 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.segmentation import decisions
 
 UPDATES = 1000
-BATCH_SIZE = 256
-LEARNING_RATE = 1e-3
+"""Gradient steps before the first step of training."""
+
+BATCH_SIZE, LEARNING_RATE = 256, 1e-3
+
+MAX_GRAD_NORM = 0.5
+"""Longest gradient, as in SB3's PPO."""
 
 
 def can_clone(model: BaseAlgorithm) -> bool:
@@ -69,7 +73,7 @@ def clone(model: Any, bank: OptionBank, demonstrations: Sequence[Trajectory]) ->
         _, log_prob, _ = policy.evaluate_actions(batch, chosen, *([masks[rows]] if masked else []))
         optimizer.zero_grad()
         (-log_prob.mean()).backward()
-        torch.nn.utils.clip_grad_norm_(policy.parameters(), 0.5)
+        torch.nn.utils.clip_grad_norm_(policy.parameters(), MAX_GRAD_NORM)
         optimizer.step()
     return float(log_prob.detach().mean().exp())
 

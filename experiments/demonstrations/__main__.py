@@ -17,7 +17,8 @@ from rich.table import Table
 from experiments.common.intervals import capped, iqm_ratio, steps_until
 from experiments.common.seeds import Part, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.demonstrations.conditions import ARMS, CLONED, EPISODES, LEARNED, PPO, TASKS, Arm, run
+from experiments.demonstrations.conditions import ARMS, EPISODES, LEARNED, PPO, TASKS, Arm, run
+from sb3_options.runs.config import CLONED
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.demonstrated import FAILURES
 from sb3_options.envs.minigrid import DISCOVERY, make
+from sb3_options.runs.config import CLONED
 
 Arm = Literal["options, cloning", "cloning", "options"]
 
@@ -47,10 +48,7 @@ PPO: dict[str, Any] = {
     "gae_lambda": 0.95,
     "ent_coef": 0.01,
 }
-"""Those of ``train.py`` for MiniGrid."""
-
-CLONED: dict[str, Any] = {"learning_rate": 3e-4, "ent_coef": 0.0}
-"""What it changes after cloning."""
+"""Those of ``train.py`` for MiniGrid. After cloning it changes `CLONED`."""
 
 FIRST_SEED = 10_000
 """Of the episodes that are shown; those of training have others."""
