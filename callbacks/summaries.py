@@ -11,7 +11,6 @@ from stable_baselines3.common.logger import Figure, HParam, Logger, TensorBoardO
 
 from sb3_options.callbacks.keeper import OptionKeeper
 from sb3_options.checked import flat, is_number
-from sb3_options.discovery.figures import map_figure
 from sb3_options.experience.option_run import OptionRun, Termination
 from sb3_options.options.bank import OptionBank
 
@@ -62,7 +61,11 @@ def log_discovery(log: Logger, keeper: OptionKeeper, n_timesteps: int) -> None:
 
 def draw_discovery(log: Logger, keeper: OptionKeeper) -> None:
     """Draw discovery for TensorBoard, with the next dump of the log."""
-    if takes_more_than_numbers(log) and (figure := map_figure(keeper.search, keeper.options.bank)) is not None:
+    if not takes_more_than_numbers(log):
+        return
+    from sb3_options.discovery.figures import map_figure  # here, because Matplotlib takes a second to import
+
+    if (figure := map_figure(keeper.search, keeper.options.bank)) is not None:
         log.record("search/subgoals", Figure(figure, close=True), exclude=NUMBERS_ONLY)
 
 

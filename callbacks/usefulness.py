@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.stats import binom, hypergeom
+from scipy.special import bdtr
 
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.density.regions import Region
@@ -77,11 +77,13 @@ def verdict(endings: Sequence[Ending], episodes: Iterable[Episode], min_reached:
 
 def fewer(k: IntArray | int, n: IntArray | int, share: float) -> Any:
     """Whether k of n are fewer than a share, by a one-sided binomial test at `ALPHA`."""
-    return binom.cdf(k, n, share) < ALPHA
+    return bdtr(k, n, share) < ALPHA
 
 
 def helps(episodes: Iterable[Episode]) -> bool:
     """Whether episodes in which an option ran succeed more often than the others, by Fisher's exact test at `ALPHA`."""
+    from scipy.stats import hypergeom  # here, because it takes more than a second to import
+
     ran, success = np.array(list(episodes), dtype=bool).reshape(-1, 2).T
     return bool(hypergeom.sf((ran & success).sum() - 1, len(ran), success.sum(), ran.sum()) < ALPHA)
 
