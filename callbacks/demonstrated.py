@@ -17,7 +17,7 @@ from sb3_options.experience.success import SuccessRule, judged
 from sb3_options.experience.trajectories import Trajectory
 
 FAILURES = 20
-"""Most episodes of a random policy; a failure is often as long as the time limit."""
+"""Most episodes of a random policy."""
 
 
 def labelled(
@@ -51,11 +51,13 @@ def with_failures(
 ) -> list[tuple[Trajectory, bool]]:
     """Failures among successes, to learn from in this order.
 
-    If no demonstration failed, episodes of a random policy are added, as many but at most `FAILURES`, after which the
-    environments have to be reset. A random policy may succeed, too.
+    If no demonstration failed, episodes of a random policy are added, as many but at most `FAILURES`, each at most as
+    long as the longest demonstration: they fail to succeed in the time that a demonstration takes. The environments
+    have to be reset afterwards. A random policy may succeed, too.
     """
     if all(said for _, said in shown):
-        walks = venv.env_method("random_trajectories", min(len(shown), FAILURES), seed, indices=[0])[0]
+        longest = max(len(each) for each, _ in shown)
+        walks = venv.env_method("random_trajectories", min(len(shown), FAILURES), longest, seed, indices=[0])[0]
         shown = [*shown, *((each, judged(success, each)) for each in walks)]
     parts = [[each for each in shown if each[1] == said] for said in (False, True)]
     places = np.argsort(np.concatenate([np.linspace(0, 1, len(part)) for part in parts]), kind="stable")

@@ -82,7 +82,8 @@ def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
 
     env = wrapped()
     shown = record_demonstrations(env, expert_of(env, noise, seed), episodes, seed=FIRST_SEED + 1000 * seed)
-    failures = env.random_trajectories(min(episodes, FAILURES), FIRST_SEED + 1000 * seed) if max_options else []
+    walks = min(episodes, FAILURES) if max_options else 0
+    failures = env.random_trajectories(walks, max(map(len, shown)), FIRST_SEED + 1000 * seed)
     frames = sum(map(len, [*shown, *failures]))
     discovery = SubgoalDiscoveryCallback(
         **DISCOVERY,

@@ -7,7 +7,6 @@ from typing import Any
 
 import gymnasium as gym
 
-from sb3_options.execution.recording import record_episodes
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.trajectories import Trajectory
 
@@ -33,4 +32,14 @@ def record_demonstrations(
     if not env.has_wrapper_attr("random_trajectories"):
         env = OptionsWrapper(env, 0)
     act = (lambda observation: policy.predict(observation)[0]) if hasattr(policy, "predict") else policy
-    return record_episodes(env, act, episodes, seed)
+    env.get_wrapper_attr("set_slots")(record=True)
+    trajectories = []
+    for episode in range(episodes):
+        observation, info = env.reset(seed=seed + episode)
+        ended = False
+        while not ended:
+            observation, _, terminated, truncated, info = env.step(act(observation))
+            ended = terminated or truncated
+        if "trajectory" in info:  # one that was too long is dropped
+            trajectories.append(info["trajectory"])
+    return trajectories

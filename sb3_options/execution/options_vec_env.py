@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
@@ -335,8 +334,8 @@ class OptionsVecEnv(VecEnvWrapper):
         for env in envs if self._recorders else ():
             self._recorders[env].begin(take(self._observations, env))
 
-    def random_trajectories(self, episodes: int, seed: int) -> list[Trajectory]:
-        """Episodes of random primitive actions; reset the environments afterwards.
+    def random_trajectories(self, episodes: int, max_steps: int, seed: int) -> list[Trajectory]:
+        """Episodes of random primitive actions, truncated after ``max_steps``; reset the environments afterwards.
 
         Of every environment the same number, because the first to end would be short ones.
         """
@@ -344,15 +343,19 @@ class OptionsVecEnv(VecEnvWrapper):
         self.seed(seed)
         self.set_slots(record=True, max_segment=None)
         random = np.random.default_rng(seed)
-        self.reset()
-        of_each = math.ceil(episodes / self.num_envs)
-        trajectories: list[list[Trajectory]] = [[] for _ in range(self.num_envs)]
-        while min(map(len, trajectories)) < of_each:
-            *_, infos = self.step(random.integers(self.n_primitive, size=self.num_envs))
-            for of_env, info in zip(trajectories, infos, strict=True):
-                of_env += [info["trajectory"]] if "trajectory" in info else []
+        trajectories: list[Trajectory] = []
+        while len(trajectories) < episodes:
+            self.reset()
+            first: dict[int, Trajectory] = {}
+            for _ in range(max_steps):
+                *_, infos = self.step(random.integers(self.n_primitive, size=self.num_envs))
+                first = {env: info["trajectory"] for env, info in enumerate(infos) if "trajectory" in info} | first
+            for env in set(range(self.num_envs)) - set(first):
+                self._recorders[env].end(terminated=False, truncated=True, is_success=None)
+                first[env] = self._recorders[env].finished[0]
+            trajectories += [first[env] for env in range(self.num_envs)]
         self.set_slots(record=before.record, max_segment=before.max_segment)
-        return [of_env[i] for i in range(of_each) for of_env in trajectories][:episodes]
+        return trajectories[:episodes]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Whether each environment is in a wrapper; in `OptionsWrapper` all are, as far as anybody need know."""

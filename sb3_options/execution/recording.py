@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -83,28 +83,6 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
 def recorder_for(max_segment: int | None) -> TrajectoryRecorder:
     """A recorder of segments, or of episodes without ``max_segment``."""
     return TrajectoryRecorder() if max_segment is None else SegmentRecorder(max_segment)
-
-
-def record_episodes(env: gym.Env[Any, Any], act: Callable[[Any], Any], episodes: int, seed: int) -> list[Trajectory]:
-    """Record episodes of an environment in `OptionsWrapper`, in primitive steps.
-
-    Args:
-        env: With a limit of time.
-        act: From one observation to an action.
-        episodes: How many.
-        seed: Of the first reset; the next have ``seed + 1`` and so on.
-    """
-    env.get_wrapper_attr("set_slots")(record=True)
-    trajectories = []
-    for episode in range(episodes):
-        observation, info = env.reset(seed=seed + episode)
-        ended = False
-        while not ended:
-            observation, _, terminated, truncated, info = env.step(act(observation))
-            ended = terminated or truncated
-        if "trajectory" in info:  # one that was too long is dropped
-            trajectories.append(info["trajectory"])
-    return trajectories
 
 
 def refuse_own(info: Mapping[str, Any], *names: str) -> None:

@@ -18,10 +18,12 @@ from sb3_options.execution import features as feature_maps
 from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
 from sb3_options.execution.option_step import StepReturn, primitive_of, run_option
-from sb3_options.execution.recording import RecordTrajectories, record_episodes, refuse_own
+from sb3_options.execution.recording import RecordTrajectories, refuse_own
 from sb3_options.execution.slots import SlotState, Traits, checked_primitives, empty_bank, with_changes
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun, RunInfo
+from sb3_options.experience.recording import TrajectoryRecorder
+from sb3_options.experience.success import success_in
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.option import Option
 
@@ -172,15 +174,26 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         if self._recording is not None:
             self._recording.set(self.slot_state.record, self.slot_state.max_segment, self._observation)
 
-    def random_trajectories(self, episodes: int, seed: int) -> list[Trajectory]:
-        """Episodes of random primitive actions that the environment allows; reset the environment afterwards."""
+    def random_trajectories(self, episodes: int, max_steps: int, seed: int) -> list[Trajectory]:
+        """Episodes of random primitive actions that the environment allows, truncated after ``max_steps``.
+
+        Reset the environment afterwards.
+        """
         random = np.random.default_rng(seed)
-
-        def act(observation: Any) -> int:
-            legal = self._legal()
-            return int(random.choice(self.n_primitive if legal is None else np.flatnonzero(legal)))
-
-        return record_episodes(self, act, episodes, seed)
+        recorder = TrajectoryRecorder()
+        trajectories = []
+        for episode in range(episodes):
+            recorder.begin(self.reset(seed=seed + episode)[0])
+            ended = False
+            while not ended:
+                legal = self._legal()
+                action = int(random.choice(self.n_primitive if legal is None else np.flatnonzero(legal)))
+                observation, reward, terminated, truncated, info = self.step(action)
+                recorder.record(action, float(reward), observation)
+                ended = terminated or truncated or len(recorder) >= max_steps
+            recorder.end(terminated=terminated, truncated=not terminated, is_success=success_in(info))
+            trajectories += recorder.finished
+        return trajectories
 
     def concept_features(self, observations: Observations) -> FloatArray:
         """φ of a batch of observations, shape (batch, d)."""

@@ -117,6 +117,8 @@ def test_training_goes_on_from_a_reset_after_random_failures(
         assert discovery.discoveries[0].timestep == 0
         assert discovery.discovery is not None
         assert len(discovery.discovery.database) == len(shown) + 4 + discovery.episodes
+        walks = [each.trajectory for each in discovery.discovery.database if each.trajectory.truncated][:4]
+        assert {len(each) for each in walks} == {max(map(len, shown))}
         # A random policy reaches the goal of small rooms, too: then it is no failure.
         assert {each.success for each in discovery.discovery.database} == {True, False}
         assert all(each.success == bool(each.trajectory.is_success) for each in discovery.discovery.database)
@@ -129,8 +131,9 @@ def test_random_actions_are_those_that_the_environment_allows() -> None:
         def action_masks(self) -> Any:
             return np.array([True, False, False, False])
 
-    (walk,) = OptionsWrapper(OnlyUp(small_rooms()), 1).random_trajectories(1, 0)
-    assert set(walk.actions.tolist()) == {UP}
+    (walk,) = OptionsWrapper(OnlyUp(small_rooms()), 1).random_trajectories(1, 50, 0)
+    assert walk.actions.tolist() == [UP] * 50
+    assert (walk.terminated, walk.truncated) == (False, True)
 
 
 def cloned(model: Any, given: list[Trajectory], **kwargs: Any) -> SubgoalDiscoveryCallback:

@@ -128,7 +128,7 @@ def test_stacked_frames_above_are_refused() -> None:
 def test_demonstrations_leave_segments_as_they_were() -> None:
     venv = make_env()
     venv.set_slots(record=True, max_segment=40)
-    assert max(map(len, venv.random_trajectories(9, 0))) > 40
+    assert max(map(len, venv.random_trajectories(9, 100, 0))) > 40
     assert (venv.slot_state.record, venv.slot_state.max_segment) == (True, 40)
 
 
@@ -145,10 +145,11 @@ def test_a_saved_model_brings_its_options_along(tmp_path: Path) -> None:
 
 def test_demonstrations_get_failures_from_random_actions() -> None:
     random = make_env(0)
-    walks = random.random_trajectories(20, 3)
+    walks = random.random_trajectories(20, 100, 3)
     assert len(walks) == 20
+    assert {len(each) for each in walks if each.truncated} == {100}
     assert sum(each.truncated for each in walks) >= 5  # the first 20 to end would be successes alone
-    successes = [each for each in random.random_trajectories(400, 3) if each.is_success][:5]
+    successes = [each for each in random.random_trajectories(400, 100, 3) if each.is_success][:5]
     model = MaskablePPO("MlpPolicy", make_env(), gamma=GAMMA, seed=0, n_steps=32, batch_size=64)
     settings = {**FAST_DISCOVERY, "min_positive": 2}
     discovery = SubgoalDiscoveryCallback(settings, max_new_options=1, demonstrations=successes)
