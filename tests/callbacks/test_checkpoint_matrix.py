@@ -1,4 +1,4 @@
-"""Every algorithm, in this process and in worker processes, cut off wherever something may be half done."""
+"""Every algorithm, and two in worker processes, cut off wherever something may be half done."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -47,8 +47,9 @@ def half_written(files: list[Path], folder: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("keep_all")
-@pytest.mark.parametrize("subproc", [False, True], ids=["dummy", "subproc"])
-@pytest.mark.parametrize("name", [*FAST, *SLOW])
+@pytest.mark.parametrize(
+    ("name", "subproc"), [*((name, False) for name in (*FAST, *SLOW)), ("PPO", True), ("OptionDQN", True)]
+)
 def test_cut_off_anywhere(name: str, subproc: bool, tmp_path: Path) -> None:
     def make() -> Any:
         return model_of(name, venv_of(subproc=subproc))
