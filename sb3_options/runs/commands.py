@@ -57,7 +57,7 @@ class Trusting:
 
 @settings
 class EvaluateConfig(Trusting):
-    """Load a run in a new process and act greedily: mean return, success rate and primitive steps an episode.
+    """Play a run in a new process: mean return, success rate and primitive steps per episode.
 
     Attributes:
         run: Run folder.
@@ -65,6 +65,7 @@ class EvaluateConfig(Trusting):
         seed: Random seed of the environment.
         video: Write the first ten episodes to this file, MP4 or GIF.
         best: Play the best model of --eval-freq, not the last.
+        stochastic: Sample actions, as in training, instead of the most probable ones.
     """
 
     run: Path
@@ -72,6 +73,7 @@ class EvaluateConfig(Trusting):
     seed: int = EVAL_SEED
     video: Path | None = None
     best: bool = False
+    stochastic: bool = False
 
 
 @settings

@@ -60,7 +60,7 @@ def show_evaluation(config: EvaluateConfig, console: Console) -> None:
 
 
 def evaluate_run(run: Path, **settings: Any) -> Evaluation:
-    """Load a run folder and act greedily in its environment.
+    """Load a run folder and play its model, by default greedily.
 
     Weights and options are read as arrays only; nothing in the folder can run code.
     """
@@ -118,7 +118,7 @@ def _play(saved: Path, config: TrainConfig, venv: VecEnv, asked: EvaluateConfig)
     play: Callable[..., Any] = evaluate_policy
     if config.algo == "maskableppo":
         from sb3_contrib.common.maskable.evaluation import evaluate_policy as play
-    play(model, venv, asked.episodes, callback=keep)
+    play(model, venv, asked.episodes, deterministic=not asked.stochastic, callback=keep)
     returns, successes, steps = zip(*found, strict=True)
     return Evaluation(
         asked.episodes,

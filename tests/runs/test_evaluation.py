@@ -36,6 +36,15 @@ def test_an_environment_with_other_spaces_is_refused(run: Path) -> None:
         evaluate_run(run, env="CartPole-v1")
 
 
+def test_sampled_actions_differ_from_greedy_ones(tmp_path: Path) -> None:
+    run = train(
+        configure(algo="ppo", n_timesteps=64, n_steps=64, progress=False, device="cpu", tensorboard_log=tmp_path)
+    )
+    greedy, sampled = (evaluate_run(run, episodes=3, stochastic=stochastic) for stochastic in (False, True))
+    assert greedy == evaluate_run(run, episodes=3)
+    assert greedy.steps != sampled.steps
+
+
 def test_weights_that_do_not_fit_are_named_in_one_line(run: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(run, tmp_path / "run"))
     config = configs.load(copy / runs.CONFIG)
