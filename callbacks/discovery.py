@@ -32,7 +32,7 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.state import restore
 
-SEGMENTS_PER_LOG = 4  # segments between two dumps of the log, as SB3's default in episodes
+SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is 4 episodes
 
 
 class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
@@ -57,7 +57,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         usefulness: How options are judged, and useless ones closed: `UsefulnessSettings`.
         demonstrations: Successful trajectories from `record_demonstrations`, or a file of them. They yield options
             before the first step. If they hold no failures, a random policy provides some.
-        clone: Whether the policy of PPO, A2C, TRPO or MaskablePPO starts as a clone of the demonstrations.
+        clone: Whether the policy of PPO, A2C, TRPO or MaskablePPO first clones the decisions of the demonstrations.
         verbose: 1 prints each new option, the learning of a feature map and, if no option was made, the reason.
 
     `bank` holds the options, `discoveries` when and where each was found, `closed` the closed options, and `history`

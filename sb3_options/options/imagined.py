@@ -35,10 +35,10 @@ def imagined_farther(
     Small rooms show only nearby states. But if an action displaces a visible thing, it does so by the same vector
     wherever the thing is, as long as the other features stay the same. (They are the context: what is visible, whether
     the cell ahead is free.) So the search goes backwards from each state of I to unseen states, along displacements
-    that nearly all saved steps agree on. An action there is worth as much as the best known way on from it: Q(s, a) = r
-    + γ max Q(s', ·), in sweeps until nothing improves. This is planning with a model in the manner of linear Dyna
-    (Sutton, Szepesvári, Geramifard & Bowling 2008), and the model is that displacement. Seen states stay as they are.
-    As many steps are imagined as a run of the option may last.
+    that nearly all saved steps agree on. An action there is worth as much as the best known way on from it:
+    Q(s, a) = r + γ max Q(s', ·), in sweeps until nothing improves. This is planning with a model in the manner of
+    linear Dyna (Sutton, Szepesvári, Geramifard & Bowling 2008), and the model is that displacement. Seen states stay as
+    they are. As many steps are imagined as a run of the option may last.
     """
     group = initiation.group
     if group is None or not group.coordinates or not len(initiation.points):

@@ -147,8 +147,8 @@ class SubgoalOption(Option):
         subgoal: β = 1 inside this region.
         initiation_set: I is this region without the subgoal: at the subgoal there is nothing left to reach.
         option_policy: π.
-        policy_input: Whether π acts on the observation or on its features φ. If the initiation set has a group, π sees
-            only the features of that group.
+        policy_input: Whether π acts on the observation or on its features φ. Of these it sees only the group of the
+            initiation set, if that has one.
         feature_map: φ; None until `bind` sets it, because functions do not travel in files or between processes.
         max_duration: Longest run, in primitive steps, at least 1.
         name: Name in logs and figures.
