@@ -1,4 +1,4 @@
-"""What callbacks remember, for checkpoints: ours say it themselves, SB3's are known."""
+"""State of callbacks for checkpoints: our callbacks report their own, SB3's is listed here."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ KNOWN: dict[type[BaseCallback], tuple[str, ...]] = {
     sb3.StopTrainingOnNoModelImprovement: ("last_best_mean_reward", "no_improvement_evals"),
     sb3.StopTrainingOnRewardThreshold: (),
 }
-"""What SB3's callbacks remember besides their counters; a class derived from one may remember more."""
+"""Attributes that SB3's callbacks remember besides their counters. A subclass may remember more."""
 
 COUNTERS = ("n_calls", "num_timesteps")
-SETTINGS = ("settings", "option_settings", "embedding")  # what `SubgoalDiscoveryCallback` was made with, by attribute
+SETTINGS = ("settings", "option_settings", "embedding")  # attributes of `SubgoalDiscoveryCallback`
 
 
 def get_states(root: BaseCallback | None) -> list[State]:
-    """Of every callback in a tree, in order; a progress bar remembers nothing of its own."""
+    """Return the state of every callback in a tree, in order, without progress bars."""
     return [
         {
             "class": type(each).__name__,
@@ -56,7 +56,7 @@ def check(root: BaseCallback | None) -> None:
 
 
 def set_states(root: BaseCallback | None, states: list[State]) -> None:
-    """Go on with what `get_states` gave, in callbacks that were made with the same settings."""
+    """Restore the states from `get_states` in callbacks that were made with the same settings."""
     callbacks = _callbacks(root)
     written = [{"callback": state["class"], **state["settings"]} for state in states]
     present = [{"callback": type(each).__name__, **_settings(each)} for each in callbacks]
@@ -68,14 +68,14 @@ def set_states(root: BaseCallback | None, states: list[State]) -> None:
                     "goes on with the same callbacks and settings alone."
                 )
     for callback, state in zip(callbacks, states, strict=True):
-        for name in _names(callback):  # and no others that a stranger's file may name, as a path to write to
+        for name in _names(callback):  # a foreign file may name others, as a path to write to
             setattr(callback, name, state["known"][name])
         if _tells(callback):
             set_own_state(callback, state["own"])
 
 
 def _settings(callback: Any) -> State:
-    """What `SubgoalDiscoveryCallback` was made with: settings, and the class and the numbers of a method of ours."""
+    """Return the settings of `SubgoalDiscoveryCallback`, and the class and numbers of a method of ours."""
     if not hasattr(callback, "discoveries"):
         return {}
     parts = {name: dataclasses.asdict(getattr(callback, name)) for name in SETTINGS}
@@ -86,7 +86,7 @@ def _settings(callback: Any) -> State:
 
 
 def _callbacks(root: BaseCallback | None) -> list[BaseCallback]:
-    # A progress bar comes in a list of its own, and is there in one training and not in the next.
+    # SB3 puts a progress bar into a list of its own, and not every training has one.
     passed_over = (sb3.ProgressBarCallback, sb3.CallbackList)
     return [each for each in all_callbacks(root) if not isinstance(each, passed_over)]
 
@@ -96,7 +96,7 @@ def _tells(callback: Any) -> bool:
 
 
 def _names(callback: BaseCallback) -> tuple[str, ...]:
-    """Attributes that SB3 counts in, and those of a callback of SB3."""
+    """Return the attributes to save: SB3's counters, and those in `KNOWN`."""
     names = next((names for cls, names in KNOWN.items() if isinstance(callback, cls)), ())
     stock = type(callback).__module__.startswith(("stable_baselines3", "sb3_contrib"))
     known = stock and isinstance(callback, tuple(KNOWN))

@@ -1,4 +1,4 @@
-"""`CheckpointCallback` and `load_checkpoint`: training that a killed process does not end."""
+"""`CheckpointCallback` and `load_checkpoint`: resume training after its process was killed."""
 
 from __future__ import annotations
 
@@ -26,21 +26,22 @@ class EndedAtCheckpointError(Exception):
 
 
 class CheckpointCallback(BaseCallback):
-    """Writes everything that training is to the disk, from where `load_checkpoint` lets it go on as if never ended.
+    """Saves the whole state of training, so that `load_checkpoint` can resume it as if it had never ended.
 
-    A checkpoint is written at the start of a rollout, the first of them before the first step. Each holds the model
-    with its optimizer and its replay buffer, the callbacks beside this one, the environments in mid-episode and every
-    random generator; docs/concepts/checkpoints.md says what cannot be in it. The last two are kept.
+    A checkpoint is written at the start of a rollout, the first one before the first step. It holds the model with its
+    optimizer and replay buffer, the other callbacks, the environments in mid-episode and every random generator.
+    docs/concepts/checkpoints.md lists what it cannot hold. The last two checkpoints are kept.
 
     Args:
-        folder: Of the checkpoints.
-        freq: Primitive steps between two of them, at least 1.
-        end_when: Asked at the start of every rollout but the first; once it says yes, a checkpoint is written there,
-            training ends, and ``learn`` raises `EndedAtCheckpointError`. None never does.
-        verbose: 1 says when training goes on from one.
+        folder: Folder of the checkpoints.
+        freq: Primitive steps between two checkpoints, at least 1.
+        end_when: Function that is called at the start of every rollout but the first. Once it returns True, a
+            checkpoint is written, training ends, and ``learn`` raises `EndedAtCheckpointError`. None never ends
+            training.
+        verbose: 1 prints when training resumes from a checkpoint.
 
     Raises:
-        ValueError: When training starts: something cannot be in a checkpoint, or the folder has those of another
+        ValueError: When training starts: a checkpoint cannot hold something, or the folder has checkpoints of another
             training.
     """
 
@@ -63,7 +64,7 @@ class CheckpointCallback(BaseCallback):
         self._last: int | None = None
 
     def resume_from(self, state: State) -> None:
-        """Let the next training go on from a state, as `load_checkpoint` reads it."""
+        """Resume the next training from a state that `load_checkpoint` has read."""
         self._resumed = state
 
     def _on_training_start(self) -> None:
@@ -73,14 +74,14 @@ class CheckpointCallback(BaseCallback):
         models.check(self.model)
         self._root: BaseCallback | None = self.locals.get("callback")
         self._check_folder()
-        # What cannot be in a checkpoint is refused now. Before its first step a model has just reset its environments.
+        # Refuse now what a checkpoint cannot hold. Before its first step a model has just reset its environments.
         environments.prepare(self.training_env, just_reset=self.model.num_timesteps == 0)
         for venv in self._evaluated():
             environments.prepare(venv)
         checkpoint_state.check(self._root)
 
     def _check_folder(self) -> None:
-        """Refuse a folder with checkpoints of more steps than there are: the newest would be another training's."""
+        """Refuse a folder with a checkpoint of more steps than this training has taken: it is of another training."""
         there, now = max((int(file.stem) for file in self.folder), default=0), self.model.num_timesteps
         if self._resumed is None and there > now:
             raise ValueError(
@@ -100,7 +101,7 @@ class CheckpointCallback(BaseCallback):
             try:
                 self._put_back(state)
             except Exception as error:
-                self.model.num_timesteps = 0  # what is put back by halves is not to be saved
+                self.model.num_timesteps = 0  # a half-restored model must not be saved
                 if isinstance(error, ValueError):
                     raise
                 what = f"{type(error).__name__}: {' '.join(str(error).split())}"
@@ -115,9 +116,9 @@ class CheckpointCallback(BaseCallback):
         self._rollouts += 1
 
     def _may_end(self) -> bool:
-        """Whether training that goes on from here is the training that was not cut off.
+        """Return whether training resumed from here would equal training that was never cut off.
 
-        SB3 counts ``log_interval`` of an on-policy algorithm from the start of ``learn``.
+        SB3 counts the ``log_interval`` of an on-policy algorithm from the start of ``learn``.
         """
         interval = self._log_interval if isinstance(self.model, OnPolicyAlgorithm) else None
         return interval is None or self._rollouts % interval == 0
@@ -132,7 +133,7 @@ class CheckpointCallback(BaseCallback):
             self._there = now
 
     def _end(self) -> None:
-        """End training here. Later checkpoints come where they would have come without it."""
+        """End training here. Later checkpoints are written where they would have been anyway."""
         if self._there != self.model.num_timesteps:
             self._save("training ends without")
         assert self._root is not None  # this callback is in it
@@ -143,7 +144,7 @@ class CheckpointCallback(BaseCallback):
         return True
 
     def state(self) -> State:
-        """Everything that training is, at the start of a rollout."""
+        """Return the whole state of training at the start of a rollout."""
         return {
             "callbacks": checkpoint_state.get_states(self._root),
             "environments": [environments.get_state(venv) for venv in (self.training_env, *self._evaluated())],
@@ -174,7 +175,7 @@ class CheckpointCallback(BaseCallback):
         for callback in all_callbacks(self._root):
             if isinstance(callback, ProgressBarCallback):
                 callback.pbar.update(model.num_timesteps - before)
-        models.set_random_states(state["random"])  # last: nothing of the above has drawn then
+        models.set_random_states(state["random"])  # last: the code above may draw random numbers
         if self.verbose:
             print(f"Going on after {model.num_timesteps:,} primitive steps.")
 
@@ -185,10 +186,10 @@ class CheckpointCallback(BaseCallback):
 def load_checkpoint(
     folder: str | os.PathLike[str], model: BaseAlgorithm, callback: BaseCallback | Sequence[BaseCallback]
 ) -> int:
-    """Let the next ``learn`` of a model go on from the newest whole checkpoint, as if it had never ended.
+    """Let the next ``learn`` of a model resume from the newest whole checkpoint, as if training had never ended.
 
-    Model, environments and callbacks must be made as they were made for the training that ended, and ``learn`` must be
-    called as it was called then: it sets everything up, and when its first rollout starts all of it is put back.
+    Make model, environments and callbacks as for the training that ended, and call ``learn`` in the same way. The
+    checkpoint is restored when its first rollout starts.
 
     ::
 
@@ -196,16 +197,16 @@ def load_checkpoint(
         model.learn(100_000, callbacks)
 
     Args:
-        folder: Of a `CheckpointCallback`.
-        model: As it was made at first.
-        callback: What is passed to ``learn``; a `CheckpointCallback` is among it.
+        folder: Folder of a `CheckpointCallback`.
+        model: Model as it was made at first.
+        callback: Callbacks that are passed to ``learn``, with a `CheckpointCallback` among them.
 
     Returns:
-        The primitive steps that the checkpoint has taken.
+        The primitive steps that were taken before the checkpoint.
 
     Raises:
         FileNotFoundError: There is no checkpoint.
-        ValueError: No checkpoint is whole, it is of another model, or there is no `CheckpointCallback`.
+        ValueError: No checkpoint is whole, the checkpoint is of another model, or there is no `CheckpointCallback`.
     """
     models.check(model)
     root = callback if isinstance(callback, BaseCallback) else CallbackList(list(callback))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | None) -> None:
-    """Refuse to begin where no options can be discovered, or with a callback that knows another model, ``before``."""
+    """Refuse training that cannot discover options, and a callback that has served another model, ``before``."""
     check_every_step(callback)
     model = callback.model
     venv = callback.training_env
@@ -37,7 +37,7 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
     check_discovery(model, venv)
     if callback.demonstrations is not None and callback.clone and can_clone(model):
         check_clonable(venv)
-    # A model that was loaded again has the options that the callback made.
+    # A reloaded model has the options that the callback made.
     again = before is None or before is model or (made and made <= set(venv.get_attr("bank", [0])[0].filled))
     if not again:
         raise ValueError(
@@ -61,7 +61,7 @@ def _check_same(what: str, values: Sequence[Any]) -> None:
 
 
 def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse a model or environments with which options would spoil what is learned."""
+    """Refuse a model or environments in which options would spoil learning."""
     check_wrapped(venv, "The model's environment")
     family = family_of(model)
     family.prepare_buffer()
@@ -105,7 +105,7 @@ def check_discovery(model: BaseAlgorithm, venv: VecEnv) -> None:
 
 def _check_masks(venv: VecEnv) -> None:
     """Refuse masks that a wrapper above `OptionsWrapper` made of the environment's own actions."""
-    venv.env_method("set_slots", expect_empty=True)  # as training does: that no slot is filled is nothing to be told of
+    venv.env_method("set_slots", expect_empty=True)  # as training does, without a warning that no slot is filled
     n = int(venv.action_space.n)  # type: ignore[attr-defined]  # checked to be Discrete
     mask = np.asarray(venv.env_method("action_masks", indices=[0])[0])
     if mask.shape != (n,):
@@ -116,11 +116,11 @@ def _check_masks(venv: VecEnv) -> None:
 
 
 def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
-    """Refuse wrappers above `OptionsWrapper` that change observations: options act on those that it sees."""
+    """Refuse wrappers above `OptionsWrapper` that change observations: options act on those beneath."""
     seen: spaces.Space[Any] = venv.get_attr("traits", [0])[0].observation_space
     changes = []
     while isinstance(venv, VecEnvWrapper) and not isinstance(venv, OptionsVecEnv):
-        # What these three do is undone where options are asked.
+        # The changes of these three are undone before options see observations.
         if not isinstance(venv, (VecNormalize, VecTransposeImage, VecFrameStack)):
             changes.append((venv.venv.observation_space, venv.observation_space))
         venv = venv.venv
@@ -133,7 +133,7 @@ def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
 
 
 def check_same_slots(venv: VecEnv, eval_env: VecEnv) -> None:
-    """Refuse an evaluation environment that has other actions than the training environment."""
+    """Refuse an evaluation environment whose actions differ from those of the training environment."""
     check_wrapped(eval_env, "The environment of EvalCallback")
     actions: tuple[Any, Any] = (venv.action_space, eval_env.action_space)
     if actions[0] != actions[1]:

@@ -32,42 +32,41 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.state import restore
 
-SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is as many episodes
+SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is 4 episodes
 
 
 class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     """Discovers options while a model trains (McGovern & Barto 2001, Table 1).
 
-    Each episode's trajectory becomes a positive or negative bag, and diverse density is searched. A concept that
-    remains a peak becomes the subgoal of a new option, whose initiation set and policy are learned from the saved
-    trajectories. The option is installed in the next empty slot of every environment, and of those of an
+    Each episode's trajectory becomes a positive or negative bag, and discovery searches for peaks of diverse density. A
+    concept that remains a peak becomes the subgoal of a new option, whose initiation set and policy are learned from
+    the saved trajectories. The option fills the next empty slot of every environment, including those of an
     ``EvalCallback``, and its head in the network is opened. The callback also makes ``num_timesteps`` count primitive
     steps (`PrimitiveStepsCallback`), and logs to TensorBoard.
 
     Args:
         settings: How subgoals are found: a `DiscoverySettings`, or a mapping of its fields, as for all settings here.
         option_settings: How options are learned: `OptionLearningSettings`.
-        method: How subgoals are found: the name of a method, or a `DiscoveryMethod` of your own; by default what the
-            settings say.
-        success: Which trajectories make positive bags; by default ``info["is_success"]``, or, in an environment without
-            it, a positive last reward above all earlier ones in a terminal state. Or a text, as `success_rule` has it.
-            SB3 logs ``rollout/success_rate`` by it, but for ``segmentation="peaks"``.
-        max_new_options: Most options to make, not counting closed ones; by default as many as there are slots.
+        method: Name of a discovery method, or a `DiscoveryMethod` of your own; by default the method of the settings.
+        success: Rule for trajectories that make positive bags: a function, or a text for `success_rule`. The default is
+            ``info["is_success"]`` or, in an environment without it, a positive last reward above all earlier ones in a
+            terminal state. SB3 logs ``rollout/success_rate`` by this rule, except for ``segmentation="peaks"``.
+        max_new_options: Most options to make, not counting closed ones; by default the number of slots.
         concepts: The space in which subgoals are searched: `ConceptSettings`.
         use: How the algorithm uses options: `OptionUse`.
-        usefulness: How options are judged by their use, and closed where they are of none: `UsefulnessSettings`.
-        demonstrations: Trajectories that succeeded, as `record_demonstrations` returns, or a file of them: options are
-            there before the first step. A random policy gives failures if there are none among them.
-        clone: Whether the policy of PPO, A2C, TRPO or MaskablePPO begins with the decisions of the demonstrations.
-        verbose: 1 prints each new option, when a feature map is learned, and in the end, if there is no option, why.
+        usefulness: How options are judged, and useless ones closed: `UsefulnessSettings`.
+        demonstrations: Successful trajectories from `record_demonstrations`, or a file of them. They yield options
+            before the first step. If they hold no failures, a random policy provides some.
+        clone: Whether the policy of PPO, A2C, TRPO or MaskablePPO first clones the decisions of the demonstrations.
+        verbose: 1 prints each new option, the learning of a feature map and, if no option was made, the reason.
 
-    `bank` holds the options, `discoveries` says when and where each was found, `closed` which were closed again, and
-    `history` how episodes went. Set `save_path` to have the options written each time one is made, and `hparams` to the
+    `bank` holds the options, `discoveries` when and where each was found, `closed` the closed options, and `history`
+    the results of episodes. If `save_path` is set, the options are saved each time one is made. `hparams` are the
     settings for TensorBoard's HParams tab, by default those of discovery and options.
 
     Raises:
-        ValueError: A setting is out of its range; or, when training starts, something does not fit: the sentence says
-            what to change.
+        ValueError: A setting is out of its range, or something does not fit when training starts. The message says what
+            to change.
         TypeError: An argument is of the wrong kind.
     """
 
@@ -88,7 +87,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         clone: bool = True,
         verbose: int = 0,
     ) -> None:
-        if isinstance(settings, Mapping) and "callback" in settings:  # SB3 calls what is not an object with its locals
+        if isinstance(settings, Mapping) and "callback" in settings:  # SB3 calls a class with its locals
             raise TypeError("The callback is a class: pass an object, callback=SubgoalDiscoveryCallback().")
         self.use = given_as(OptionUse, {} if use is None else use)
         super().__init__(verbose, primitive_rollouts=self.use.primitive_rollouts)
@@ -117,7 +116,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     @property
     def bank(self) -> OptionBank:
-        """A copy of the present options; an empty bank before training starts. Environments are given others."""
+        """Copy of the present options; an empty bank before training starts. Environments have banks of their own."""
         return OptionBank(1, 0) if self._installer is None else self._installer.bank.copy()
 
     def _on_training_start(self) -> None:
@@ -167,14 +166,14 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 self.model._last_original_obs = normalizer.get_original_obs()
         if self.clone and can_clone(self.model):
             options = self._keeper.options
-            options.on_rollout_start()  # none has started, and the heads of options must be open
+            options.on_rollout_start()  # no rollout has started, and the heads must be open
             successes = [each for each, success in shown if success]
             probability = clone(self.model, options.bank, successes)
             if self.verbose:
                 print(f"Cloned {len(successes)} demonstrations: mean probability of a decision {probability:.2f}")
 
     def _groups(self, traits: Traits) -> tuple[FeatureGroup, ...]:
-        """The groups of features to search: those of the settings, or else those that the environment or φ names."""
+        """Return the groups of features to search: those of the settings, or else of the environment or φ."""
         groups = traits.feature_groups if self.concepts.groups is None else self.concepts.groups
         return groups if traits.feature_size is None else checked_groups(groups, traits.feature_size)
 
@@ -191,7 +190,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 self._keeper.useful.add(run, env, success=None)
             for segment in info.pop("segments", ()):
                 self._episode_ended(segment, {})
-                # An algorithm without rollouts dumps its log when episodes end, and there may be no end.
+                # An algorithm without rollouts dumps its log when episodes end, and these may never end.
                 if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
                     self.logger.dump(self.num_timesteps)
         return goes_on
@@ -213,7 +212,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 useful.episode_ended(env, self._keeper.options.installed(), success=success)
             self._keeper.judge(self._close_option)
             self._learn_from(trajectory, success)
-        except ValueError as error:  # one episode that cannot be used is no reason to end training
+        except ValueError as error:  # one unusable episode must not end training
             self._keeper.search.diary.unusable(self.episodes, error)
         log_discovery(self.logger, self._keeper, self.num_timesteps)
 
@@ -233,7 +232,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             print(f"Option {slot} {why} and is closed, after {self.episodes} episodes")
 
     def why_nothing(self) -> str | None:
-        """Why no option was made since training started; None where one was."""
+        """Return why no option was made since training started, or None if one was."""
         if self.max_new_options == 0 and not self.discoveries:
             return "Discovery was switched off."
         return "No training has started." if self.discovery is None else self._keeper.why_nothing(self.episodes)
@@ -245,11 +244,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._keeper.options.send_learned_map()
 
     def _on_training_end(self) -> None:
-        if self._ended:  # rl-zoo3 ends training twice, and when it was refused
+        if self._ended:  # rl-zoo3 ends training twice, and also after a refusal
             return
         self._ended = True
         super()._on_training_end()
-        if self.closed or len(self.bank):  # without those that were closed, and as the others are now
+        if self.closed or len(self.bank):  # without closed options, and with the present state of the others
             save_or_warn(self._keeper.options.bank, self.save_path)
         draw_discovery(self.logger, self._keeper)
         if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:

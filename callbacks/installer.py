@@ -1,4 +1,4 @@
-"""Installing options where they take effect: in every environment, the network's heads and the replay buffer."""
+"""Installs options where they take effect: in every environment, the network's heads and the replay buffer."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from sb3_options.learning.saved_model import keep_options, put_back
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
 
-MIN_ODDS = 1e-3  # odds that any option opens with: a head of probability 0 would never be learned
+MIN_ODDS = 1e-3  # least odds of a new option: a head of probability 0 would never be learned
 
 
 class OptionInstaller:
-    """Keeps the options of all environments, the heads of the network and the replay buffer equal to its `bank`.
+    """Keeps environments, network heads and replay buffer in line with the options of its `bank`.
 
-    What the environments hold when it is made counts: what was learned of slots that are empty is forgotten, and what
-    an earlier training left behind is put right. The model carries the bank, so that SB3's ``save`` writes it too. The
-    environments of an ``EvalCallback`` get the options too.
+    It starts with the options that the environments hold. It forgets what was learned about empty slots, and corrects
+    what an earlier training left behind. The model carries the bank, so SB3's ``save`` writes it too. The environments
+    of an ``EvalCallback`` get the same options.
 
     Off-policy algorithms get an option at once. Algorithms that sample actions from a policy without masks get it when
-    the next rollout starts: with a head that was closed at the start of a rollout and open at its end, the update
-    would use probabilities that the actions never had. ``open_untrained`` says whether the random heads of an untrained
-    model are opened for the options that there are; the other settings are those of `OptionUse`.
+    the next rollout starts. If a head opened during a rollout, the update would use probabilities that the actions
+    never had. ``open_untrained`` says whether the random heads of an untrained model are opened for its present
+    options. The other settings are those of `OptionUse`.
     """
 
     def __init__(
@@ -83,13 +83,13 @@ class OptionInstaller:
         self._changed()
 
     def features_of(self, observations: Observations) -> FloatArray:
-        """φ of a batch of observations, (batch, d); φ may exist in a worker process only."""
+        """Return φ of a batch of observations, (batch, d). φ may exist only in a worker process."""
         if self.learned_map is not None:
             return self.learned_map(observations)
         return np.asarray(self.venv.env_method("concept_features", observations, indices=[0])[0])
 
     def send_learned_map(self) -> None:
-        """Let the feature map of every environment be the one that is learned here."""
+        """Send the feature map that is learned here to every environment."""
         assert self.learned_map is not None  # `LearnedFeatures.begin` has set it
         self._set_slots(learned_map=self.learned_map.arrays())
         self._changed()
@@ -115,9 +115,9 @@ class OptionInstaller:
         self._changed()
 
     def uninstall(self, slot: int) -> None:
-        """Remove an option as soon as nothing that is still to be learned from can name it.
+        """Remove an option once no experience that is still to be learned from can name it.
 
-        A replay buffer must have stored the current step, a rollout buffer must have been emptied.
+        By then a replay buffer has stored the current step, and a rollout buffer has been emptied.
         """
         if slot in self._pending:
             self._pending.remove(slot)
@@ -127,7 +127,7 @@ class OptionInstaller:
             self._closing.add(slot)
 
     def installed(self) -> list[int]:
-        """The filled slots without those that are being emptied."""
+        """Return the filled slots without those that are being emptied."""
         return [slot for slot in self.bank.filled if slot not in self._closing]
 
     def on_rollout_start(self) -> None:
@@ -141,7 +141,7 @@ class OptionInstaller:
         """Bring the replay buffer up to date."""
         if not self.family.has_rollouts:
             self._uninstall_closed()
-        # Only now is the step stored at whose end an option was made, and no gradient step was taken in between.
+        # Only now is the step stored that ended with a new option. No gradient step was taken in between.
         if self._new and self.buffer is not None and self.buffer.tracks_availability and self.buffer.size():
             available = stored_availability(self.buffer, self.venv)
             for slot in self._new:
@@ -154,7 +154,7 @@ class OptionInstaller:
         self.on_rollout_end()
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint. Of a hand-made option, which is code, it holds the name."""
+        """Return the state for a checkpoint. Of a hand-made option, which is code, it holds the name."""
         return {
             "slots": [each if isinstance(each, SubgoalOption) else each and each.name for each in self.bank.slots],
             "pending": list(self._pending),
@@ -163,7 +163,7 @@ class OptionInstaller:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave: its options are in the slots of all environments then."""
+        """Restore a state from `get_state`, and put its options into the slots of all environments."""
         if len(state["slots"]) != self.bank.max_options:
             raise ValueError(
                 f"The checkpoint is of an environment with {len(state['slots'])} slots for options, and this one has "
@@ -199,9 +199,9 @@ class OptionInstaller:
         self._new.append(slot)
 
     def _odds(self, slot: int, option: Option) -> float | None:
-        """Odds of a new option against all primitives, for policies that sample and mask; None for the others.
+        """Return the odds of a new option against all primitives; None unless the policy samples and masks.
 
-        The options that are available together share what `opening_share` gives them.
+        Options that are available together share the odds that `opening_share` gives.
         """
         share = self.opening_share
         if not isinstance(self.family, Masked) or share == 1.0:
@@ -221,33 +221,33 @@ class OptionInstaller:
             self._changed()
 
     def _send(self, slot: int, option: Option, *, present: bool = False) -> None:
-        """Put an option into all environments; ``present`` says that those of the training have one of that name."""
+        """Put an option into all environments; ``present``: the training environments already have one of that name."""
         self.bank.add(option, slot)
         if isinstance(option, SubgoalOption):
             # φ stays behind: functions may not travel between processes.
             self._set_slots(options={slot: option.bind(None)})
-        else:  # it may be made for its environment
+        else:  # it may be specific to its environment
             self._set_slots(training=not present, options={slot: option})
 
     def _changed(self) -> None:
-        """Let the model carry the options as they are now, and explore those that the environments have."""
+        """Give the model the present options, and let it explore those that the environments have."""
         keep_options(self.model, self.bank)
         if self.explored is not None:
             self.explored.filled = tuple(slot for slot in self.bank.filled if slot not in self._pending)
 
     def _set_slots(self, *, training: bool = True, **changes: Any) -> None:
-        """Change the `SlotState` of the environments for evaluation, and of those for ``training``."""
+        """Change the `SlotState` of the evaluation environments and, if ``training``, of the training environments."""
         for venv in [self.venv, *self.eval_envs] if training else self.eval_envs:
             venv.env_method("set_slots", **changes)
 
 
 def _n_available(others: Sequence[Option | None], option: Option) -> float:
-    """How many of the others are available in the mean state of an option's initiation set, as far as is known."""
+    """Estimate how many other options are available in the average state of an option's initiation set."""
     if not isinstance(option, SubgoalOption) or not len(option.initiation_set.points):
         return len(others)
     points, group = option.initiation_set.points, option.initiation_set.group
     return sum(
-        # Points of one group say nothing of the features of another.
+        # Points of one group say nothing about the features of another.
         float(other.initiation_set.covers(points).mean())
         if isinstance(other, SubgoalOption) and other.initiation_set.group == group
         else 1.0
@@ -256,5 +256,5 @@ def _n_available(others: Sequence[Option | None], option: Option) -> float:
 
 
 def _initiation(option: Option | None) -> object:
-    """What says where an option starts."""
+    """Return the object that says where an option starts."""
     return option.initiation_set if isinstance(option, SubgoalOption) else option

@@ -1,4 +1,4 @@
-"""`IntrinsicRewardCallback`: a bonus for what is new, added where advantages are computed."""
+"""`IntrinsicRewardCallback`: a bonus for novelty, added where advantages are computed."""
 
 from __future__ import annotations
 
@@ -25,33 +25,31 @@ from sb3_options.learning.rollout_buffer import add_bonuses
 
 
 class IntrinsicRewardCallback(BaseCallback):
-    """Adds a bonus to the reward of every primitive step that arrives in what is new.
+    """Adds a bonus for novelty to the reward of every primitive step.
 
-    The agent learns from r + w b(s') / σ. σ is the running standard deviation of the intrinsic return
-    (`ReturnScale`), so that w, the ``weight``, means the same for every kind of bonus. An option of k primitive steps
-    gets Σ γⁱ bᵢ over all of them, also those inside.
+    The agent learns from r + w b(s') / σ. σ is the running standard deviation of the intrinsic return (`ReturnScale`),
+    so the ``weight`` w means the same for every kind of bonus. An option of k primitive steps gets Σ γⁱ bᵢ over all k
+    steps.
 
     It is for PPO, A2C and the other algorithms with rollouts: advantages and returns include the bonus (`add_bonuses`).
-    Environments, monitors and evaluations see the rewards of the task alone. It works beside `SubgoalDiscoveryCallback`
+    Environments, monitors and evaluations see only the rewards of the task. It works beside `SubgoalDiscoveryCallback`
     or `PrimitiveStepsCallback`, in any order, and also without options.
 
-    There is one value function for both rewards, so a bonus ends with the episode, which that of Burda et al. (2018)
-    does not.
+    One value function covers both rewards, so a bonus ends with the episode, unlike that of Burda et al. (2018).
 
     Args:
-        kind: ``counts``, 1 / √N of the visits to a state; or ``rnd``, random network distillation. Observations of
-            whole numbers are counted as they are, images among them. Of others the environment's ``concept_features``,
-            or the feature map of `OptionsWrapper`, are rounded to whole numbers, or else the flat observation to
-            twentieths of its range. ``rnd`` sees the flat observation.
+        kind: ``counts``, 1 / √N for N visits to a state; or ``rnd``, random network distillation. Observations of whole
+            numbers, such as images, are counted as they are. For others the environment's ``concept_features``, or the
+            feature map of `OptionsWrapper`, are rounded to whole numbers. Without either, the flat observation is
+            rounded to twentieths of its range. ``rnd`` sees the flat observation.
         weight: w, at least 0.
-        seed: Of the networks' weights.
+        seed: Seed of the networks' weights.
 
     Attributes:
-        novelty: Counts or networks, from the first training on; a later training goes on with them.
+        novelty: Counts or networks, made in the first training and kept for later ones.
 
     Raises:
-        ValueError: An argument is out of its range; or, when training starts, there is nothing that can be counted, or
-            γ is 1.
+        ValueError: An argument is out of its range or, when training starts, nothing can be counted or γ is 1.
         TypeError: When training starts, the algorithm has no rollouts.
     """
 
@@ -99,7 +97,7 @@ class IntrinsicRewardCallback(BaseCallback):
             return RandomNetworkDistillation(flat_size(space), self.seed)
         if novelty.is_table_like(space):
             return StateCounts(obs_batch.flatten)
-        # What was counted in a feature map that is learned would be something else later.
+        # Counts in a learned feature map would mean something else later.
         learns = venv.has_attr("traits") and venv.get_attr("traits", [0])[0].feature_kind == LEARNED
         if venv.has_attr("concept_features") and not learns:
             return StateCounts(self._concept_features)
@@ -140,12 +138,12 @@ class IntrinsicRewardCallback(BaseCallback):
         add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
 
     def _last_observations(self) -> list[Observations]:
-        """Where each environment arrived, as it gave it itself: a batch of one each."""
+        """Return the last observation of each environment, unnormalised, as a batch of one."""
         normalizer = self.model.get_vec_normalize_env()
         venv = self.training_env
         if normalizer is None:
             given = as_wrapper_sees(venv, self.locals["new_obs"])
-        else:  # the originals: what was clipped is lost in the others
+        else:  # the originals: normalisation may have clipped the others
             given = as_wrapper_sees(normalizer.venv, normalizer.get_original_obs())
         last = [obs_batch.take(given, slice(i, i + 1)) for i in range(venv.num_envs)]
         for i, (done, info) in enumerate(zip(self.locals["dones"], self.locals["infos"], strict=True)):
@@ -155,8 +153,8 @@ class IntrinsicRewardCallback(BaseCallback):
 
 
 def _arrived_in(run: OptionRun | None, last: Observations) -> Observations:
-    """Where the primitive steps of a run led, the last of them to ``last``."""
-    if run is not None and run.duration == 0:  # it goes on, and what it passes is told when it ends
+    """Return the observations that the primitive steps of a run led to, ending with ``last``."""
+    if run is not None and run.duration == 0:  # it goes on, and reports its observations when it ends
         nothing: Observations = obs_batch.take(last, slice(0, 0))
         return nothing
     if run is None or run.observations is None:
@@ -165,7 +163,7 @@ def _arrived_in(run: OptionRun | None, last: Observations) -> Observations:
 
 
 def _discounted(run: OptionRun | None, bonuses: FloatArray) -> float:
-    """Σ γⁱ bᵢ over the primitive steps of a run."""
+    """Return Σ γⁱ bᵢ over the primitive steps of a run."""
     if run is None or len(bonuses) == 1:
         return float(bonuses[0])
     return float(run.gamma ** np.arange(len(bonuses)) @ bonuses)

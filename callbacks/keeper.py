@@ -1,4 +1,4 @@
-"""`OptionKeeper`: makes options of subgoals, learns them further, and closes them; records of both."""
+"""`OptionKeeper`: makes options from subgoals, learns them further, and closes them, with records."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class DiscoveredOption:
     """When and where an option was made.
 
     Attributes:
-        slot: Its slot.
+        slot: Slot of the option.
         episode: Number of episodes, or of segments between peaks of reward, that had ended.
         timestep: Primitive steps taken.
         subgoal: The subgoal's centre in concept space, shape (d,).
-        where: The same for people: ``state 57`` of a discrete space, else coordinates.
-        log_density: Best log diverse density of the search that completed it; NaN where another method found it.
-        initiation_states: Size of its initiation set.
+        where: The subgoal in readable form: ``state 57`` of a discrete space, else coordinates.
+        log_density: Best log diverse density of the search that found the subgoal; NaN for other methods.
+        initiation_states: Size of the initiation set.
     """
 
     slot: int
@@ -53,10 +53,10 @@ class ClosedOption:
     """When and why an option was closed.
 
     Attributes:
-        slot: Its slot, which another may fill.
+        slot: Slot of the option, which another may fill.
         episode: Number of episodes that had ended.
         timestep: Primitive steps taken.
-        why: What it does.
+        why: Reason for closing it.
     """
 
     slot: int
@@ -66,7 +66,7 @@ class ClosedOption:
 
 
 class OptionKeeper:
-    """The options that a training makes, with all that is known of them by slot."""
+    """Options that a training makes, and all that is known about them, by slot."""
 
     STATE: ClassVar[tuple[str, ...]] = ("discoveries", "closed", "made", "generator", "useful", "growth", "features")
 
@@ -75,7 +75,7 @@ class OptionKeeper:
 
     def __init__(self, settings: OptionLearningSettings, usefulness: UsefulnessSettings) -> None:
         self.settings = settings
-        self.most: int | None = None  # options to make, not counting closed ones
+        self.most: int | None = None  # maximum number of options, not counting closed ones
         self.discoveries: list[DiscoveredOption] = []
         self.closed: list[ClosedOption] = []
         self.made: set[int] = set()
@@ -85,7 +85,7 @@ class OptionKeeper:
         self.features: LearnedFeatures | None = None
 
     def begin(self, options: OptionInstaller, search: Discovery, most: int | None) -> None:
-        """Adopt the options that are there when training starts."""
+        """Adopt the options that exist when training starts."""
         self.options = options
         self.search = search
         self.most = most
@@ -95,18 +95,18 @@ class OptionKeeper:
                 self.growth.adopted(slot)
 
     def may_make(self) -> bool:
-        """Whether another option may be made now."""
+        """Return whether another option may be made now."""
         bank = self.options.bank
         most = bank.max_options if self.most is None else self.most
         return len(self.made) < most and len(bank) < bank.max_options
 
     def wants_slot(self) -> bool:
-        """Whether another option would be made if a slot were free."""
+        """Return whether another option would be made if a slot were free."""
         full = len(self.options.installed()) == self.options.bank.max_options
         return full and (self.most is None or len(self.made) < self.most)
 
     def learn_from(self, trajectory: Trajectory, success: bool, episode: int, timestep: int) -> DiscoveredOption | None:
-        """Let discovery and the options learn from a trajectory; the option that was made, if any."""
+        """Let discovery and options learn from a trajectory, and return the new option, if any."""
         options = self.options
         search = self.search
         discovers = self.may_make()
@@ -128,7 +128,7 @@ class OptionKeeper:
         return None if subgoal is None else self._make(subgoal, episode, timestep)
 
     def _make(self, subgoal: Region, episode: int, timestep: int) -> DiscoveredOption | None:
-        """Learn an option for the subgoal that was found last, and install it; None where none can be learned."""
+        """Learn and install an option for the subgoal that was found last; return None if none can be learned."""
         found = self.search.found[-1]
         where = found.where(self.search.kind)
         option = None
@@ -143,7 +143,7 @@ class OptionKeeper:
         slot = self.options.bank.slots.index(None)
         self.options.install(slot, option)
         self._remember(slot, option)
-        self.useful.forget(slot)  # a closed option went on to the end of its rollout, after it was forgotten
+        self.useful.forget(slot)  # a closed option ran on until its rollout ended, after it was forgotten
         self.made.add(slot)
         self.growth.made(slot, subgoal, self.search.database)
         n_states = len(option.initiation_set.points)
@@ -152,7 +152,7 @@ class OptionKeeper:
         return made
 
     def _learn_further(self, labelled: LabelledTrajectory) -> None:
-        """Learn options anew for which a trajectory is worth it."""
+        """Relearn the options for which a trajectory is worth it."""
         for slot in self.options.installed():
             option = self.options.bank[slot]
             if not isinstance(option, SubgoalOption):
@@ -167,7 +167,7 @@ class OptionKeeper:
                 self.replace(slot, later)
 
     def judge(self, close: Callable[[int, Verdict], None]) -> None:
-        """Narrow options that are of no use everywhere, and close those that are of none."""
+        """Narrow the options that fail from some states, and close useless ones."""
         for slot, later in self.useful.judged(self.options):
             if isinstance(later, SubgoalOption):
                 self.replace(slot, later)
@@ -187,7 +187,7 @@ class OptionKeeper:
         self.closed.append(closed)
 
     def why_nothing(self, episodes: int) -> str | None:
-        """Why no option was made in so many episodes; None where one was."""
+        """Return why no option was made in so many episodes, or None if one was."""
         if self.discoveries:
             return None
         if self.features is not None and (waits := self.features.why_not_ready(self.search.diary.n)) is not None:

@@ -1,4 +1,4 @@
-"""`LearnedFeatures`: a feature map that is learned while a model trains, and options that move along with it."""
+"""`LearnedFeatures`: a feature map that is learned during training, and options that move with it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from sb3_options.options.settings import OptionLearningSettings
 class LearnedFeatures:
     """Learns the feature map of all environments, and keeps subgoals and initiation sets at their observations.
 
-    Each time the map has changed, every environment gets it, and the options that were made here get the regions around
-    the same observations in the new space. Their policies act on observations, and stay as they are. A map that came
-    with options stays as it is: of those the observations are not known.
+    When the map changes, every environment gets it. The options that were made here get regions around the same
+    observations in the new space. Their policies act on observations, and stay as they are. A map that came with
+    options stays fixed, because their observations are unknown.
     """
 
     STATE = ("learner", "_anchors")
@@ -32,7 +32,7 @@ class LearnedFeatures:
         self.map = feature_map
         self.verbose = verbose
         self.learner = FeatureLearner(feature_map, settings, seed)
-        # By slot the observations of subgoal and initiation set, and the points of that set that they have now.
+        # By slot: observations of the subgoal and of the initiation set, and the present points of that set.
         self._anchors: dict[int, tuple[Observations, Observations, FloatArray]] = {}
 
     @property
@@ -41,7 +41,7 @@ class LearnedFeatures:
         return self.map.learned > 0
 
     def why_not_ready(self, n: int) -> str | None:
-        """Why nothing is searched yet after ``n`` trajectories, in a sentence; None where something can be."""
+        """Return why nothing can be searched yet after ``n`` trajectories, or None if it can."""
         if self.ready:
             return None
         return (
@@ -50,7 +50,7 @@ class LearnedFeatures:
         )
 
     def begin(self, options: OptionInstaller) -> None:
-        """Take note of the options that are there when training starts."""
+        """Note the options that exist when training starts."""
         options.learned_map = options.bank.feature_map = self.map
         others = [s for s in options.bank.filled if isinstance(options.bank[s], SubgoalOption)]
         self.map.fixed = any(slot not in self._anchors for slot in others)
@@ -58,7 +58,7 @@ class LearnedFeatures:
             options.send_learned_map()
 
     def learn_if_due(self, search: Discovery, options: OptionInstaller) -> bool:
-        """Learn on the map if it is due, and move everything along once it has changed."""
+        """Train the map if that is due, and move the options' regions once it has changed."""
         begins = not self.learner.done
         changed = search.learn_if_due(self.learner)
         if self.verbose and (changed or (begins and self.learner.done)):
@@ -76,9 +76,9 @@ class LearnedFeatures:
         return True
 
     def remember(self, slot: int, option: SubgoalOption, search: Discovery) -> None:
-        """Take note of the observations behind an option's regions, which were made of features in the database.
+        """Remember the observations behind an option's regions, which were made from features in the database.
 
-        Where an initiation set has only lost points, its observations are known: their trajectories may have left the
+        If an initiation set has only lost points, its observations are known. Their trajectories may have left the
         database.
         """
         known = self._anchors.get(slot)
@@ -100,14 +100,14 @@ class LearnedFeatures:
         self._anchors[slot] = subgoal, initiation, points
 
     def forget(self, slot: int) -> None:
-        """An option is closed."""
+        """Forget a closed option."""
         self._anchors.pop(slot, None)
 
 
 def features_for(
     present: LearnedFeatures | None, options: OptionInstaller, settings: EmbeddingSettings, seed: int, verbose: int
 ) -> LearnedFeatures | None:
-    """What looks after the feature map of the environments, if it is learned, when training starts."""
+    """Return the `LearnedFeatures` of the environments when training starts, or None if their map is not learned."""
     there: object = options.venv.get_attr("bank", [0])[0].feature_map
     if isinstance(there, LearnedMap) and present is None:
         present = LearnedFeatures(copy.deepcopy(there), settings, seed, verbose)
@@ -117,7 +117,7 @@ def features_for(
 
 
 def check_learned(discovery: DiscoverySettings, option: OptionLearningSettings, *, own: bool) -> None:
-    """Refuse what does not go together with a space that moves, as a method or groups of the user's ``own``."""
+    """Refuse settings that need a fixed feature map, such as a method or groups of the user's ``own``."""
     if own or discovery.method != "diverse-density" or option.policy_input == "features":
         raise ValueError(
             "A learned feature map moves while it is learned on. Diverse density moves along; other methods, groups of "

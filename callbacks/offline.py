@@ -21,14 +21,14 @@ def discover(
     seed: int = 0,
     **settings: Any,
 ) -> OptionBank:
-    """Discover options in trajectories, as a training does in its own, and put them into an environment.
+    """Discover options in saved trajectories, and put them into an environment.
 
-    It is a training of no steps: what is found, and why nothing is, is the same.
+    This is a training of no steps, with the same options, or the same reasons why none is found.
 
     Args:
-        trajectories: What ``SubgoalDiscoveryCallback(demonstrations=...)`` takes.
-        env: In an `OptionsWrapper`, whose slots are filled. It gives random failures where there are none.
-        seed: Of everything random.
+        trajectories: Trajectories or a file, as in ``SubgoalDiscoveryCallback(demonstrations=...)``.
+        env: Environment in an `OptionsWrapper`, whose slots are filled. It provides random failures if there are none.
+        seed: Seed of everything random.
         **settings: Other arguments of `SubgoalDiscoveryCallback`.
 
     Returns:

@@ -1,4 +1,4 @@
-"""`PrimitiveStepsCallback`: counting in primitive steps, whatever the algorithm chooses among."""
+"""`PrimitiveStepsCallback`: counts primitive steps, whatever actions the algorithm chooses among."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from sb3_options.learning.rollout_buffer import SMDPAdvantages, n_decisions, opt
 logger = logging.getLogger("sb3_options")
 
 LAST = {"_last_obs": "new_obs", "_last_episode_starts": "dones", "_last_lstm_states": "lstm_states"}
-"""Where an on-policy model keeps what the environments gave last, and the name of it in ``collect_rollouts``."""
+"""Attributes of an on-policy model that hold its last step, with their names in ``collect_rollouts``."""
 
 
 class PrimitiveRollouts:
     """Keeps the rollouts of an on-policy algorithm at about ``n_steps`` primitive steps of each environment.
 
-    SB3 fixes the number of decisions when a rollout starts: as many as would have taken so long in the one before, in
-    multiples that fill the minibatches, never more than ``n_steps``. SB3 reads ``n_steps`` before a rollout starts, and
-    only between two it is the number of decisions: whoever saves the model in a rollout saves what it was made with.
+    SB3 fixes the number of decisions when a rollout starts. It is the number that took ``n_steps`` primitive steps in
+    the rollout before, in multiples that fill the minibatches, and at most ``n_steps``. The model's ``n_steps`` holds
+    this number only between two rollouts, when SB3 reads it. A model that is saved during a rollout has its original
+    ``n_steps``.
     """
 
     def __init__(self, model: Any, buffer: SMDPAdvantages) -> None:
@@ -43,17 +44,17 @@ class PrimitiveRollouts:
         self.least = 2 if getattr(model, "normalize_advantage", False) and buffer.n_envs == 1 else 1
 
     def begin(self) -> None:
-        """Put ``n_steps`` back: the rollout that begins has its size."""
+        """Restore ``n_steps`` of the model: the rollout that begins has its size."""
         self.model.n_steps = self.n_steps
 
     def plan_next(self) -> None:
-        """Set the size of the next rollout; the present one is still to be learned from."""
+        """Set the size of the next rollout, before the model has learned from the present one."""
         if not self.buffer.waits:
             self.model.n_steps = n_decisions(self.n_steps, self.buffer.durations, self.multiple, self.least)
         self.buffer.next_size = self.model.n_steps
 
     def end(self) -> None:
-        """Let the next training count decisions, unless it is told otherwise."""
+        """Let the next training count decisions, unless it sets primitive rollouts."""
         self.model.n_steps = self.buffer.next_size = self.n_steps
         self.buffer.n_primitive_steps = None
 
@@ -61,24 +62,25 @@ class PrimitiveRollouts:
 class PrimitiveStepsCallback(BaseCallback):
     """Makes ``num_timesteps``, and with it budget, schedules and every x-axis, count primitive steps.
 
-    SB3 counts calls of ``step``; an option of k primitive steps is one call, so k − 1 are added. A progress bar among
-    the other callbacks is advanced too, and the rollout buffer of an on-policy algorithm gets the duration of every
-    action. Use it with hand-made options, or with a custom SMDP environment whose actions have durations of their own
-    (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``). `SubgoalDiscoveryCallback` does
-    the same, so that it is not needed beside it.
+    SB3 counts calls of ``step``. An option of k primitive steps is one call, so the callback adds k − 1. It also
+    advances a progress bar among the other callbacks, and gives the rollout buffer of an on-policy algorithm the
+    duration of every action. Use it with hand-made options, or with a custom SMDP environment whose actions have
+    durations of their own (it leaves ``info["option"] = {"index": -1, "duration": k, "discount": gamma**k}``).
+    `SubgoalDiscoveryCallback` does the same, and makes this one superfluous.
 
-    What is learned from is made to fit the options that the environments hold when training starts (`OptionInstaller`).
-    Options of the environment of an ``EvalCallback`` are left to the user.
+    When training starts, network and replay buffer are fitted to the options that the environments hold
+    (`OptionInstaller`). Options in the environment of an ``EvalCallback`` are left to the user.
 
-    ``train_freq``, ``target_update_interval`` and ``eval_freq`` of an ``EvalCallback`` still count decisions, and so
-    does ``n_steps``, unless ``primitive_rollouts`` says otherwise. A rollout may be many more primitive steps. Hence
-    on-policy training ends in the middle of one when the budget is used up (SB3's last rollout is counted in full, as
-    if every action were one step); that rollout is not learned from. No schedule sees a progress below 0. Over
+    ``train_freq``, ``target_update_interval`` and ``eval_freq`` of an ``EvalCallback`` still count decisions. So does
+    ``n_steps``, unless ``primitive_rollouts`` is set. A rollout may then take many more primitive steps, and on-policy
+    training ends in the middle of one when the budget is used up (SB3's last rollout is counted in full, as if every
+    action were one step). The model does not learn from that rollout. No schedule sees a progress below 0. Over
     `OptionsVecEnv` all of these count primitive steps.
 
     Args:
-        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps: a rollout has as many
-            decisions as took so long in the one before. Otherwise options make rollouts longer, and updates rarer.
+        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps. A rollout then has as
+            many decisions as took that long in the one before. Otherwise options make rollouts longer, and updates
+            rarer.
         verbose: As for any callback.
 
     Raises:
@@ -91,7 +93,7 @@ class PrimitiveStepsCallback(BaseCallback):
     def __init__(self, verbose: int = 0, *, primitive_rollouts: bool = False) -> None:
         super().__init__(verbose)
         self.primitive_rollouts = primitive_rollouts
-        # rl-zoo3 ends trainings that were refused before they started, too.
+        # Set here, because rl-zoo3 also ends trainings that were refused before they started.
         self._rollouts: PrimitiveRollouts | None = None
         self._rollout_buffer: SMDPAdvantages | None = None
         self._installer: OptionInstaller | None = None
@@ -116,14 +118,14 @@ class PrimitiveStepsCallback(BaseCallback):
         if self.primitive_rollouts and self._rollout_buffer is not None:
             self._rollouts = PrimitiveRollouts(self.model, self._rollout_buffer)
         ours = [c for c in all_callbacks(self.locals.get("callback")) if isinstance(c, PrimitiveStepsCallback)]
-        # Of several the one that discovers options counts; its class is defined on top of this module.
+        # If there are several, the one that discovers options counts. Its class builds on this module.
         self._leads = max(ours or [self], key=lambda each: hasattr(each, "discoveries")) is self
         self._updates_before = self._n_updates()
         self._budget = math.inf
         if self._rollout_buffer is not None:
             n_steps: int = self.model.n_steps  # type: ignore[attr-defined]  # it has rollouts
-            self._rollout_buffer.next_size = n_steps  # an exception may have ended an earlier training in a shorter one
-            # The first rollout of a training that is resumed may be a shorter one.
+            self._rollout_buffer.next_size = n_steps  # an exception may have left a shorter one behind
+            # The first rollout of a resumed training may be shorter.
             whole = n_steps if self._rollouts is None else self._rollouts.n_steps
             rollout = whole * self._rollout_buffer.n_envs
             done, total = self.model.num_timesteps, self.model._total_timesteps
@@ -145,7 +147,7 @@ class PrimitiveStepsCallback(BaseCallback):
             self._installer.on_rollout_end()
 
     def _count(self, runs: list[OptionRun]) -> bool:
-        """Count what one step of every environment ran; whether training goes on."""
+        """Count one step of every environment, and return whether training goes on."""
         if self._leads:
             self._count_inner_steps(runs)
             if hasattr(self.training_env.unwrapped, "lost_actors"):  # a RayVecEnv
@@ -154,7 +156,7 @@ class PrimitiveStepsCallback(BaseCallback):
         if buffer is None:
             return True
         buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
-        # A rollout that is complete with this step is still to be learned from.
+        # The model still learns from a rollout that this step completes.
         goes_on = self.model.num_timesteps < self._budget or buffer.pos + 1 == buffer.buffer_size
         if not goes_on:
             self._keep_last()
@@ -165,14 +167,14 @@ class PrimitiveStepsCallback(BaseCallback):
         extra = math.ceil(sum([run.duration for run in runs])) - len(runs)  # a user's durations may be fractions
         self.model.num_timesteps += extra
         self.num_timesteps = self.model.num_timesteps
-        # A last option may end beyond the budget, and schedules would see a progress below 0.
+        # A last option may end beyond the budget. Schedules would then see a progress below 0.
         self.model._total_timesteps = max(self.model._total_timesteps, self.num_timesteps)
         for each in all_callbacks(self.locals.get("callback")) if extra else ():
             if isinstance(each, ProgressBarCallback):
                 each.pbar.update(extra)
 
     def _keep_last(self) -> None:
-        """Let the model know where the environments are, as SB3 does not where training ends inside a rollout."""
+        """Tell the model where the environments are: SB3 does not if training ends inside a rollout."""
         for name, value in LAST.items():
             if value in self.locals:
                 setattr(self.model, name, self.locals[value])

@@ -17,9 +17,9 @@ class OptionUse:
 
     Attributes:
         max_option_exploration: Largest share of all options among the random choices of DQN, QRDQN and OptionDQN. With
-            MaskablePPO it is the share of the probability that the first option opens with where primitives are equally
-            likely. The odds of the k-th against the primitives are 1/k of those; so it is no cap on all options
-            together: three at 0.5 open with 0.65.
+            MaskablePPO it is the probability that the first option opens with where primitives are equally likely. The
+            k-th option opens with 1/k of those odds. So it is no cap on all options together: three at 0.5 open with
+            0.65.
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
     """
 
@@ -32,12 +32,12 @@ class ConceptSettings:
     """The space in which subgoals are searched.
 
     Attributes:
-        groups: The features that make a concept together, each a `FeatureGroup` or a mapping of its fields; None takes
-            those that the environment or φ names. Without any, all features do.
-        static_filter: What may be a subgoal: from the features of a trajectory's states (m, d) and of its first and
-            last state, (d,) each, to (m,) truth values. None leaves out what is near its start and end.
-        embedding: How a map is learned, for environments in ``OptionsWrapper(feature_map="temporal-distance")``:
-            an `EmbeddingSettings`, or a mapping of its fields.
+        groups: Groups of features that make a concept together, each a `FeatureGroup` or a mapping of its fields. None
+            takes the groups that the environment or φ names. Without groups, all features make one concept.
+        static_filter: Function for states that may be subgoals: from the features of a trajectory's states (m, d) and
+            of its first and last state, (d,) each, to (m,) truth values. None leaves out states near its start and end.
+        embedding: How a map is learned, for environments in ``OptionsWrapper(feature_map="temporal-distance")``: an
+            `EmbeddingSettings`, or a mapping of its fields.
     """
 
     groups: tuple[FeatureGroup, ...] | None = None

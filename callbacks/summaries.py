@@ -1,4 +1,4 @@
-"""What a training logs of discovery and its options, in numbers and pictures, and its settings."""
+"""Logs discovery, options and settings of a training, in numbers and pictures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RESULTS = ("rollout/success_rate", "rollout/ep_rew_mean")
 
 
 def takes_more_than_numbers(log: Logger) -> bool:
-    """Whether one of its outputs takes pictures and settings: TensorBoard, or what says so of itself."""
+    """Return whether an output takes pictures and settings: TensorBoard, or one that declares it."""
     return any(
         isinstance(output, TensorBoardOutputFormat) or getattr(output, "takes_pictures", False)
         for output in log.output_formats
@@ -33,7 +33,7 @@ def takes_more_than_numbers(log: Logger) -> bool:
 def log_run(log: Logger, run: OptionRun) -> None:
     """Log how the option of a slot ran; SB3 logs the means since the last entry.
 
-    TensorBoard opens the first groups by the alphabet: ``slots`` and ``search`` come after ``rollout``.
+    TensorBoard opens the alphabetically first groups, so ``slots`` and ``search`` come after ``rollout``.
     """
     slot = f"slots/{run.index}"
     log.record_mean(f"{slot}/inside", float(bool(run.inside)), exclude="stdout")
@@ -45,7 +45,7 @@ def log_run(log: Logger, run: OptionRun) -> None:
 
 
 def log_discovery(log: Logger, keeper: OptionKeeper, n_timesteps: int) -> None:
-    """Log how discovery goes, after so many primitive steps."""
+    """Log the progress of discovery after ``n_timesteps`` primitive steps."""
     search = keeper.search
     values: dict[str, float] = {
         "search/seconds": search.diary.seconds,
@@ -78,7 +78,7 @@ def log_settings(log: Logger, settings: Mapping[str, Any]) -> None:
 
 
 def save_or_warn(bank: OptionBank, path: str | os.PathLike[str] | None) -> None:
-    """Write an options file, unless there is to be none; where that fails, there is a warning."""
+    """Save the options if a path is given, and log a warning if that fails."""
     try:
         if path is not None:
             bank.save(path)

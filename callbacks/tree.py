@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 
 def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
-    """Every callback in the tree that ``learn`` was given."""
+    """Yield every callback in the tree that ``learn`` was given."""
     if root is None:
         return
     yield root
@@ -23,7 +23,7 @@ def all_callbacks(root: BaseCallback | None) -> Iterator[BaseCallback]:
 
 
 def check_every_step(callback: BaseCallback) -> None:
-    """Refuse a callback inside another one, which may call it now and then, as ``EveryNTimesteps`` does."""
+    """Refuse a callback inside another one, which may not call it at every step, as ``EveryNTimesteps``."""
     called: list[BaseCallback | None] = [callback.locals.get("callback")]
     for each in called:
         if isinstance(each, CallbackList):
@@ -37,5 +37,5 @@ def check_every_step(callback: BaseCallback) -> None:
 
 
 def evaluation_envs(root: BaseCallback | None) -> list[VecEnv]:
-    """The environments of every ``EvalCallback`` in the tree that ``learn`` was given."""
+    """Return the environments of every ``EvalCallback`` in the tree that ``learn`` was given."""
     return [each.eval_env for each in all_callbacks(root) if isinstance(each, EvalCallback)]

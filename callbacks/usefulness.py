@@ -1,9 +1,9 @@
-"""Whether an option is of use: how its runs end, whether episodes with it succeed, and whether successes need it.
+"""Judges options by how their runs end, whether their episodes succeed, and whether successes need them.
 
 An option on a few features may work from some states and not from others that look the same. How its runs end tells
-where it works (Konidaris & Barto 2009, §3). So a state from where too few runs arrive leaves the initiation set, and
-an option is closed where no state is to blame and its last runs say so (`verdict`). Options that are closed, or that
-hardly any success passes while others wait for a slot, make room for new ones.
+where it works (Konidaris & Barto 2009, §3). A state from which too few runs arrive leaves the initiation set. If no
+state is to blame, the option's last runs may close it (`verdict`). If options wait for a slot, an option that hardly
+any success passes makes room for a new one.
 """
 
 from __future__ import annotations
@@ -26,41 +26,41 @@ from sb3_options.options.settings import UsefulnessSettings
 from sb3_options.state import TRANSIENT, storable
 
 Ending: TypeAlias = Literal["subgoal", "left_initiation", "max_duration", "failed"]
-"""How a run ends that neither a better choice nor a time limit cut off; ``failed`` ends the episode without success."""
+"""How a run ends that no better choice or time limit cut off; ``failed`` ends the episode without success."""
 
 Verdict: TypeAlias = Literal["does not arrive", "goes in circles", "ends in failure", "is not needed"]
 
 MIN_RUNS = 50  # fewer runs than this close no option
-WINDOW = 100  # last runs of a slot, and last episodes, that count
+WINDOW = 100  # number of last runs of a slot, and of last episodes, that count
 RUNS_BETWEEN = 25  # runs of a slot between two judgements
-MIN_PASSES = 8  # runs that passed a state of I before it can be taken out
+MIN_PASSES = 8  # runs that must pass a state of I before it can be removed
 
 NEVER = 0.2
-"""An option does not arrive if fewer of its runs do than this share of `min_reached`. To close those that arrive more
+"""An option does not arrive if fewer of its runs do than this share of `min_reached`. Closing options that arrive more
 often and leave I did harm (docs/studies/minigrid.md, six large rooms)."""
 
 ALPHA = 0.01
-"""Level of each test: the probability that one judgement takes away what only just does as it should."""
+"""Level of each test: the probability that one judgement rejects an option or state that is just good enough."""
 
-MIN_SUCCESSES = 20  # successes that an option was there for before it can be found not needed
+MIN_SUCCESSES = 20  # successes with an option in its slot before it can be found not needed
 
 NEEDED = 0.1
-"""Share of successes that pass the subgoal of an option that is needed."""
+"""Least share of successes that pass the subgoal of a needed option."""
 
 
 @storable
 class Episode(NamedTuple):
-    """Whether an option ran in an episode, and whether that succeeded."""
+    """Whether an option ran in an episode, and whether the episode succeeded."""
 
     ran: bool
     success: bool
 
 
 def verdict(endings: Sequence[Ending], episodes: Iterable[Episode], min_reached: float) -> Verdict | None:
-    """Why an option is to be closed, from its last runs and episodes; None if it stays.
+    """Return why an option is to be closed, by its last runs and episodes, or None if it stays.
 
-    An option whose runs go in circles until `max_duration` is closed. One that hardly ever arrives, or that mostly ends
-    episodes in failure, stays if episodes with it succeed more often than those without it: in a hard task most runs of
+    An option whose runs go in circles until `max_duration` is closed. One that hardly ever arrives, or mostly ends
+    episodes in failure, stays if episodes with it succeed more often than those without it. In a hard task most runs of
     primitive actions fail, too.
     """
     n = len(endings)
@@ -76,12 +76,12 @@ def verdict(endings: Sequence[Ending], episodes: Iterable[Episode], min_reached:
 
 
 def fewer(k: IntArray | int, n: IntArray | int, share: float) -> Any:
-    """Whether k of n are fewer than a share, by a one-sided binomial test at `ALPHA`."""
+    """Return whether k of n are fewer than a share, by a one-sided binomial test at `ALPHA`."""
     return bdtr(k, n, share) < ALPHA
 
 
 def helps(episodes: Iterable[Episode]) -> bool:
-    """Whether episodes in which an option ran succeed more often than the others, by Fisher's exact test at `ALPHA`."""
+    """Return whether episodes with an option succeed more often than others, by Fisher's exact test at `ALPHA`."""
     from scipy.stats import hypergeom  # here, because it takes more than a second to import
 
     ran, success = np.array(list(episodes), dtype=bool).reshape(-1, 2).T
@@ -91,10 +91,10 @@ def helps(episodes: Iterable[Episode]) -> bool:
 @storable
 @dataclass
 class SlotRecord:
-    """What is known of the option in one slot, since it is there or became another."""
+    """Record of the option in one slot, since it was installed or last changed."""
 
-    # Runs since the last judgement with the observations that they passed, runs before with what I sees of those, the
-    # last episodes, and whether each of the last successes passed the subgoal.
+    # Runs since the last judgement with their observations; earlier runs with the features that I sees; how runs ended;
+    # the last episodes; whether each of the last successes passed the subgoal.
     new: deque[tuple[Observations, Ending]] = field(default_factory=lambda: deque(maxlen=WINDOW))
     judged: deque[tuple[FloatArray, Ending]] = field(default_factory=lambda: deque(maxlen=WINDOW))
     last: deque[Ending] = field(default_factory=lambda: deque(maxlen=WINDOW))
@@ -103,7 +103,7 @@ class SlotRecord:
 
     @property
     def endings(self) -> list[Ending]:
-        """Of the last runs."""
+        """How the last runs ended."""
         return [why for _, why in (*self.judged, *self.new)][-WINDOW:]
 
 
@@ -113,46 +113,46 @@ class Usefulness:
 
     settings: UsefulnessSettings = field(metadata=TRANSIENT)
     _slots: dict[int, SlotRecord] = field(default_factory=dict, init=False)
-    _ran: dict[int, set[int]] = field(default_factory=dict, init=False)  # by environment, the slots of its episode
+    _ran: dict[int, set[int]] = field(default_factory=dict, init=False)  # by environment: slots of its episode
     _failed: dict[int, tuple[FloatArray, IntArray]] = field(default_factory=dict, init=False)  # lost states, π there
 
     def add(self, run: OptionRun, env: int, *, success: bool | None) -> None:
-        """Note a run that began in I, in which environment, and the success of the episode that it ended, if any."""
+        """Record a run that began in I, its environment, and the success of the episode that it ended, if any."""
         if self.settings.min_reached == 0:
             return
         self._ran.setdefault(env, set()).add(run.index)
         ending = "failed" if run.termination == "terminated" and success is False else run.termination
         if ending in ("subgoal", "left_initiation", "max_duration", "failed"):
-            assert run.observations is not None  # it is that of an option
+            assert run.observations is not None  # the run is of an option
             self._of(run.index).new.append((run.observations, ending))
             self._of(run.index).last.append(ending)
 
     def episode_ended(self, env: int, filled: Iterable[int], *, success: bool) -> None:
-        """Note which options ran in an episode."""
+        """Record which options ran in an episode."""
         ran = self._ran.pop(env, set())
         for slot in filled if self.settings.min_reached > 0 else ():
             self._of(slot).episodes.append(Episode(slot in ran, success))
 
     def counts_needs(self, options: OptionInstaller) -> bool:
-        """Whether it is still to be seen which subgoals successes pass."""
+        """Return whether the subgoals that successes pass are still counted."""
         return self.settings.min_reached > 0 and any(
             len(self._of(slot).needed) < WINDOW for slot, _ in _judged(options)
         )
 
     def succeeded(self, options: OptionInstaller, features: FloatArray) -> None:
-        """Note which subgoals a success passed, from φ of its states, (m, d)."""
+        """Record which subgoals a success passed, from φ of its states, (m, d)."""
         for slot, option in _judged(options):
             self._of(slot).needed.append(bool(option.subgoal.contains(features).any()))
 
     def unneeded(self, options: OptionInstaller) -> int | None:
-        """The slot whose subgoal fewest successes pass, if these are fewer than `NEEDED`."""
+        """Return the slot whose subgoal fewest successes pass, if their share is below `NEEDED`."""
         records = {slot: self._of(slot).needed for slot, _ in _judged(options)}
         shares = {slot: float(np.mean(of)) for slot, of in records.items() if len(of) >= MIN_SUCCESSES}
         weakest = min(shares, key=shares.__getitem__, default=None)
         return weakest if weakest is not None and shares[weakest] < NEEDED else None
 
     def judged(self, options: OptionInstaller) -> Iterator[tuple[int, SubgoalOption | Verdict]]:
-        """Yield slots whose option loses states of I, with what it is without them, or is to be closed, and why."""
+        """Yield slots whose option loses states of I, with the narrowed option, or is to be closed, with the reason."""
         for slot, option in _judged(options):
             record = self._of(slot)
             if len(record.new) < RUNS_BETWEEN:
@@ -164,7 +164,7 @@ class Usefulness:
             )
             why = verdict(record.endings, record.episodes, self.settings.min_reached)
             lost = sure if why is not None else sure | likely
-            if whole == "does not arrive":  # and it is no use to lose more states
+            if whole == "does not arrive":  # losing more states would not help
                 yield slot, whole
             elif lost.any() and not lost.all():
                 region = option.initiation_set
@@ -173,13 +173,13 @@ class Usefulness:
                 yield slot, option.with_regions(option.subgoal, replace(region, points=region.points[~lost]))
             elif why is not None:
                 yield slot, why
-            elif likely.any() and not helps(record.episodes):  # from nowhere it arrives often enough
+            elif likely.any() and not helps(record.episodes):  # no state is left from which it arrives often enough
                 yield slot, "does not arrive"
 
     def learned_anew(self, slot: int, later: SubgoalOption) -> SubgoalOption | None:
-        """An option that was learned anew, without the states that I has lost, unless π does something else there.
+        """Return a relearned option without the states that I has lost, unless π acts differently there.
 
-        Where π acts on observations, it is taken to do the same. None if I has no other state.
+        A π that acts on observations is taken to act the same. Return None if I has no other state.
         """
         if slot in self._failed:
             region = later.initiation_set
@@ -194,17 +194,17 @@ class Usefulness:
         return later
 
     def forget(self, slot: int) -> None:
-        """Forget an option that is closed."""
+        """Forget a closed option."""
         self._slots.pop(slot, None)
         self._failed.pop(slot, None)
 
     def forget_runs(self, slot: int) -> None:
-        """Forget the runs of an option that has become another."""
+        """Forget the runs of an option that has changed."""
         self._of(slot).new.clear()
         self._of(slot).judged.clear()
 
     def forget_places(self) -> None:
-        """Forget states that initiation sets lost and that runs passed: φ has become another."""
+        """Forget states that initiation sets lost and that runs passed, because φ has changed."""
         self._failed.clear()
         for record in self._slots.values():
             record.judged.clear()
@@ -213,7 +213,7 @@ class Usefulness:
         return self._slots.setdefault(slot, SlotRecord())
 
     def _remember(self, slot: int, option: SubgoalOption, lost: FloatArray) -> None:
-        """Remember states that an initiation set loses, and what π does there."""
+        """Remember states that an initiation set loses, and the actions of π there."""
         of_features = option.policy_input == "features"
         does = option.option_policy.actions(lost) if of_features else np.zeros(len(lost), dtype=np.int64)
         before, did = self._failed.get(slot, (lost[:0], does[:0]))
@@ -222,7 +222,7 @@ class Usefulness:
     def _see(
         self, record: SlotRecord, option: SubgoalOption, features_of: Callable[[Observations], FloatArray]
     ) -> None:
-        """Keep of new runs what the initiation set sees: observations may be pictures."""
+        """Keep the features of new runs that the initiation set sees: observations may be images."""
         observations, endings = zip(*record.new, strict=True)
         features = option.initiation_set.own(features_of(concatenate(list(observations))))
         parts = np.split(features, np.cumsum([batch_size(each) for each in observations[:-1]]))
@@ -230,9 +230,9 @@ class Usefulness:
         record.new.clear()
 
     def _failing(self, record: SlotRecord, option: SubgoalOption) -> tuple[BoolArray, BoolArray]:
-        """Centres of I nearest to states from where too few runs arrive, (n,): surely; by the share, if all surely do.
+        """Find centres of I from which too few runs arrive, (n,) each: by a test; by share, if all runs fail the test.
 
-        Failures of an option may be spread over many states, too few at each to be sure.
+        Failures of an option may be spread over many states, too few at each for the test.
         """
         region: Region = option.initiation_set
         if not len(region.points):
@@ -252,6 +252,6 @@ class Usefulness:
 
 
 def _judged(options: OptionInstaller) -> list[tuple[int, SubgoalOption]]:
-    """The options that lead somewhere: a hand-made one does not say where to."""
+    """Return the options with a subgoal: a hand-made option names none."""
     filled = [(slot, options.bank[slot]) for slot in options.installed()]
     return [(slot, each) for slot, each in filled if isinstance(each, SubgoalOption) and len(each.subgoal.points)]

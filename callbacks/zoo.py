@@ -10,8 +10,8 @@ from sb3_options.zoo import ZooOptionsWrapper
 class ZooDiscoveryCallback(SubgoalDiscoveryCallback):
     """`SubgoalDiscoveryCallback`, with its arguments, for environments in `ZooOptionsWrapper`.
 
-    They discount by the algorithm's γ, which a search for hyperparameters draws. The model's zip, which rl-zoo3 writes,
-    holds the options; the wrapper finds them there when the run is played.
+    The environments discount by the algorithm's γ, which a hyperparameter search draws. rl-zoo3 saves the options in
+    the model's zip. The wrapper finds them there when the run is played.
     """
 
     def _on_training_start(self) -> None:

@@ -66,7 +66,7 @@ _MODULES = {
     "OptionBank": "sb3_options.options.bank",
     "Option": "sb3_options.options.option",
 }
-"""The module of each public name. It is imported when the name is asked for, since torch and SB3 take a second."""
+"""The module of each public name, imported when the name is first used: torch and SB3 take a second."""
 
 
 def __getattr__(name: str) -> Any:
@@ -79,5 +79,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names, for completion."""
+    """Return the public names, for completion."""
     return sorted(__all__)

@@ -13,8 +13,8 @@ def main(program: str = "sb3-options", default: Sequence[str] = ("--help",)) -> 
     """Run the command line.
 
     Args:
-        program: What needs the package that is missing, for the one line that says so.
-        default: Arguments where there are none.
+        program: Name in the message about a missing package.
+        default: Arguments if there are none.
     """
     try:
         from sb3_options import cli
@@ -23,7 +23,7 @@ def main(program: str = "sb3-options", default: Sequence[str] = ("--help",)) -> 
             raise
         sys.exit(f"{program} needs the package {error.name}: {how_to_install('train', 'contrib')}")
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a terminal of another encoding has no φ
+        sys.stdout.reconfigure(errors="replace")  # a terminal with another encoding may lack φ
     cli.main(sys.argv[1:] or default)
 
 

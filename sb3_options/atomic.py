@@ -11,17 +11,17 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 PREFIX = ".sb3-options-"
-"""How the names of temporary files begin."""
+"""Prefix of the names of temporary files."""
 
 STALE = 3600.0
-"""Seconds after which a temporary file that nobody has written to was left by a killed process."""
+"""Seconds without a write after which a temporary file counts as left by a killed process."""
 
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside ``path``, which it replaces once everything is on the disk.
+    """Yield a temporary path beside ``path``, which it replaces once everything is on the disk.
 
-    A full disk, an error or a killed process leaves an older file as it was, with its rights. Remains of killed
+    A full disk, an error or a killed process leaves an older file unchanged, with its rights. Remains of killed
     processes are removed (`remove_stale`). An `OSError` names ``path``.
     """
     final = Path(path)
@@ -30,7 +30,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         final.parent.mkdir(parents=True, exist_ok=True)
         remove_stale(final.parent)
         temporary = final.parent / f"{PREFIX}{secrets.token_hex(8)}{final.suffix}"
-        temporary.touch(exist_ok=False)  # who may read it the system decides, as for any new file
+        temporary.touch(exist_ok=False)  # the system decides who may read it, as for any new file
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
@@ -38,7 +38,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
             temporary.chmod(stat.S_IMODE(final.stat().st_mode))
         temporary.replace(final)
     except OSError as error:
-        # A full disk is noticed by a file that is open, and names none.
+        # An open file notices a full disk, and its error names no file.
         if error.errno is not None and (error.filename is None or PREFIX in str(error.filename)):
             error.filename = str(final)
         raise
@@ -49,7 +49,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def remove_stale(folder: Path, pattern: str = "") -> None:
-    """Remove the temporary files that killed processes left, `STALE` seconds after they were last written to."""
+    """Remove the temporary files that killed processes left, `STALE` seconds after their last write."""
     for path in folder.glob(f"{pattern}{PREFIX}*"):
         with suppress(OSError):  # another process may remove it as well
             if time.time() - path.stat().st_mtime > STALE:

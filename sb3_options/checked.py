@@ -1,8 +1,8 @@
-"""Settings that check themselves, and what a value is.
+"""Settings that check themselves, and checks of single values.
 
-A field says its range in its type, as in ``capacity: Annotated[int, Field(ge=1)] = 100``, and `settings` makes a
-frozen dataclass that refuses anything else by name. pydantic does the checking, here and where a file is loaded into
-the same class.
+A field's type states its range, as in ``capacity: Annotated[int, Field(ge=1)] = 100``. `settings` makes a frozen
+dataclass that refuses any other value and names the field. pydantic does the checking, here and when a file is loaded
+into the same class.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ T = TypeVar("T")
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def settings(cls: type[T]) -> type[T]:
-    """A frozen dataclass whose constructor refuses what its fields' types and ranges exclude.
+    """Make a frozen dataclass whose constructor refuses values outside its fields' types and ranges.
 
-    The constructor raises `TypeError` for a name that is no field, and `ValueError` for a value of another type or
-    outside its range. What several fields must fulfil together stands in the class's ``__post_init__``.
+    The constructor raises `TypeError` for an unknown name, and `ValueError` for a value of another type or outside its
+    range. Conditions on several fields stand in the class's ``__post_init__``.
     """
     made = dataclass(frozen=True, config=ConfigDict(extra="forbid"))(cls)
     check: Callable[..., None] = made.__init__
@@ -42,27 +42,27 @@ def settings(cls: type[T]) -> type[T]:
             unknown = any(e["type"].startswith("unexpected_") for e in error.errors())  # by keyword or position
             raise (TypeError if unknown else ValueError)(f"{cls.__name__}: {readable(error, names)}") from None
 
-    made.__init__ = __init__  # type: ignore[method-assign]  # it takes what the generated one takes
+    made.__init__ = __init__  # type: ignore[method-assign]  # it takes the same arguments as the generated one
     return storable(made)  # type: ignore[arg-type]  # pydantic types it as a class of its own, and it is ``cls`` itself
 
 
 def is_number(value: object) -> bool:
-    """Whether this is one real number, so that it can be compared with others; NaN is one, a truth value is not."""
+    """Return whether a value is one real number that can be compared with others; NaN is one, a truth value is not."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def whole(value: object, least: int) -> bool:
-    """Whether this is a whole number of at least ``least``."""
+    """Return whether a value is a whole number of at least ``least``."""
     return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
 
 
 def given_as(cls: type[T], given: T | Mapping[str, Any]) -> T:
-    """Settings as they were given, or those with the given fields."""
+    """Return settings as given, or make them from a mapping of fields."""
     return given if isinstance(given, cls) else cls(**given)  # type: ignore[arg-type]  # a mapping, or Python refuses it
 
 
 def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by their whole names, with dots."""
+    """Return nested settings by their full names, with dots."""
     values: dict[str, Any] = {}
     for name, value in settings.items():
         values |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
@@ -70,7 +70,7 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def readable(error: ValidationError, names: Sequence[str] = ()) -> str:
-    """One line with the name, expected and given value of every wrong field."""
+    """Return one line with the name, expected and given value of every wrong field."""
     return "; ".join(_readable(e, names) for e in error.errors(include_url=False))
 
 
@@ -83,6 +83,6 @@ def _readable(error: Any, names: Sequence[str]) -> str:
         return f"{name} is missing"
     if error["type"] == "unexpected_keyword_argument":
         return f"there is no setting {name!r}"
-    if error["type"] == "value_error":  # of a __post_init__, which has its own words
+    if error["type"] == "value_error":  # from a __post_init__, which words its own message
         return str(error["ctx"]["error"])
     return f"{name} {message.removeprefix('Input ')}, got {error['input']!r}"

@@ -1,6 +1,6 @@
 """The command line: train a run, resume it, evaluate it, compare runs, search settings, show options.
 
-What a command runs is imported when it runs, so the help is shown at once.
+Each command imports its modules when it runs, so the help is shown at once.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from sb3_options.runs.commands import CompareConfig, DemoConfig, EvaluateConfig,
 from sb3_options.runs.config import FIELDS, GROUPS, IMPORTING, TrainConfig, flag, program
 
 USAGE = 2
-"""Exit status where the command line makes no sense."""
+"""Exit status for an invalid command line."""
 
 TRY_AGAIN = 75
-"""Exit status where a worker process was killed: ``EX_TEMPFAIL`` of sysexits.h."""
+"""Exit status if a worker process was killed: ``EX_TEMPFAIL`` of sysexits.h."""
 
 LAST_IN_SHORT_HELP = "tensorboard_log"
-"""``--help`` shows the settings as far as this one."""
+"""``--help`` shows the settings up to this one."""
 
 COMMANDS: dict[str, tuple[type[Any], str]] = {
     "demo": (DemoConfig, "demo:show_demo"),
@@ -42,7 +42,7 @@ COMMANDS: dict[str, tuple[type[Any], str]] = {
     "tune": (TuneConfig, "tune:tune"),
     "options": (InspectConfig, "report:show_options"),
 }
-"""What a command takes, and the module and function in ``sb3_options.runs`` that it calls."""
+"""Settings of each command, and the module and function in ``sb3_options.runs`` that it calls."""
 
 INTRODUCTION = """Train an agent that discovers its own options, or evaluate one. Or --version.
   [train] ALGORITHM maskableppo (default), ppo, a2c, trpo, recurrentppo, dqn,
@@ -79,8 +79,8 @@ def main(args: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt as interrupt:
         print(" ".join(["Interrupted", *map(str, interrupt.args)]), file=sys.stderr)
         sys.exit(130)
-    except BrokenPipeError:  # as of `sb3-options options RUN | head -1`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more at its end
+    except BrokenPipeError:  # as from `sb3-options options RUN | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes stdout once more when it exits
         return
     except (ValueError, TypeError, OSError, MemoryError, NotImplementedError, ModuleNotFoundError) as error:
         _stop(error, str(error), status)
@@ -105,11 +105,11 @@ def _stop(error: BaseException, text: str, status: int) -> NoReturn:
 
 
 def parse(args: Sequence[str]) -> TrainConfig:
-    """The configuration that a command line describes: a flag is a line of a file of settings."""
+    """Return the configuration that a command line describes: a flag is a line of a file of settings."""
     words, flags = _split(args)
     algo = " ".join(words).lower()
     if words:
-        configs.check_algo(algo, COMMANDS)  # a mistyped command is no algorithm
+        configs.check_algo(algo, COMMANDS)  # a mistyped command is not an algorithm
     asked = dict(_value(name, texts, _type_of(name)) for name, texts in flags.items())
     if "version" in asked:
         print(f"sb3-options {version('sb3-options')}")
@@ -128,12 +128,12 @@ def parse(args: Sequence[str]) -> TrainConfig:
     if section is not None:
         _show_help(configs.build(values | trusted, program()), section)
     if file is not None:
-        configs.build(values, file)  # what is wrong with the file is told of the file
+        configs.build(values, file)  # errors of the file must name the file
     return configs.build(values | asked, program())
 
 
 def parse_command(command: str, args: Sequence[str]) -> Any:
-    """The settings of one of the `COMMANDS`; words before the first flag are its first setting."""
+    """Return the settings of one of the `COMMANDS`; words before the first flag are its first setting."""
     of = COMMANDS[command][0]
     fields = of.__dataclass_fields__
     first = next(name for name, field in fields.items() if not field.kw_only)
@@ -152,7 +152,7 @@ def parse_command(command: str, args: Sequence[str]) -> Any:
 
 
 def _split(words: Sequence[str]) -> tuple[list[str], dict[str, list[str]]]:
-    """The words before the first flag, and the texts of each flag: ``--n-steps 64``, ``--net-arch=64``."""
+    """Return the words before the first flag, and the texts of each flag: ``--n-steps 64``, ``--net-arch=64``."""
     leading: list[str] = []
     flags: dict[str, list[str]] = {}
     texts = leading
@@ -167,14 +167,14 @@ def _split(words: Sequence[str]) -> tuple[list[str], dict[str, list[str]]]:
 
 
 def _type_of(name: str) -> str:
-    """The annotation of a setting of `TrainConfig`; empty for an argument of the algorithm."""
+    """Return the annotation of a setting of `TrainConfig`, or an empty text for an argument of the algorithm."""
     group, _, inner = name.rpartition(".")
     annotations = GROUPS.get(group, TrainConfig).__annotations__
     return str(annotations.get(inner, annotations.get(inner.removeprefix("no_"), "")))
 
 
 def _value(name: str, texts: list[str], kind: str) -> tuple[str, Any]:
-    """A flag with its value: nothing is a truth value, several are a list."""
+    """Return a flag with its value: no text is a truth value, several are a list."""
     if kind.startswith("dict"):
         return name, _keywords(name, texts)
     group, dot, inner = name.rpartition(".")
@@ -192,7 +192,7 @@ def _value(name: str, texts: list[str], kind: str) -> tuple[str, Any]:
 
 
 def _keywords(name: str, pairs: Sequence[str]) -> dict[str, Any]:
-    """Pairs ``name:value`` as keyword arguments."""
+    """Return pairs ``name:value`` as keyword arguments."""
     keywords = {}
     for pair in pairs:
         key, colon, value = pair.partition(":")
@@ -203,7 +203,7 @@ def _keywords(name: str, pairs: Sequence[str]) -> dict[str, Any]:
 
 
 def _read(text: str) -> Any:
-    """A value read as YAML, so that 3 is a number; None is None."""
+    """Return a value read as YAML, so that 3 is a number; "None" is None."""
     return None if text == "None" else yaml_file.parse(text)
 
 
@@ -221,7 +221,7 @@ def _show_help(default: TrainConfig, section: str) -> NoReturn:
 
 
 def _show_help_of(command: str, first: str) -> NoReturn:
-    """Print what a command takes, and exit."""
+    """Print the settings of a command, and exit."""
     of = COMMANDS[command][0]
     about = inspect.cleandoc(of.__doc__ or "").partition("\n\nAttributes:")[0]
     usage = f"usage: {program()} {command} {first.upper()} [--FLAG VALUE ...]\n\n{about}\n"
@@ -244,7 +244,7 @@ def _print_help(usage: str, of: type[Any], values: Mapping[str, Any], prefix: st
 
 
 def _texts_of(settings: type[Any]) -> dict[str, str]:
-    """What the docstrings of a class of settings and its bases say of each."""
+    """Return the text of each setting from the docstrings of a class and its bases."""
     texts = {}
     for of in settings.__mro__:
         attributes = inspect.cleandoc(of.__doc__ or "").partition("Attributes:\n")[2]

@@ -1,4 +1,4 @@
-"""A class's fields are its checkpoint: one walk reads the state of an object, and one writes it back in place.
+"""A class's fields are its checkpoint: one walk reads the state of an object, and one restores it in place.
 
 ::
 
@@ -44,7 +44,7 @@ PLAIN = (type(None), bool, int, float, str, bytes, np.ndarray, np.generic)
 
 
 def storable(cls: type[T]) -> type[T]:
-    """Class decorator: a checkpoint stores objects of this class whole, and makes them anew from their fields.
+    """Class decorator: a checkpoint stores objects of this class whole, and recreates them from their fields.
 
     The class is a dataclass whose constructor takes all fields, a named tuple, or names the arguments of its
     constructor in ``STATE``.
@@ -57,7 +57,7 @@ def storable(cls: type[T]) -> type[T]:
 
 
 def declare(cls: type[Any], *names: str) -> None:
-    """Say which attributes are the state of a class of another library."""
+    """Declare the attributes that are the state of a class of another library."""
     FOREIGN[cls] = names
 
 
@@ -67,7 +67,7 @@ class Part(NamedTuple):
 
     Attributes:
         of: Name of its class.
-        state: As ``get_state`` gives it; None where the same object has occurred before.
+        state: State from ``get_state``; None if the same object has occurred before.
     """
 
     of: str
@@ -75,7 +75,7 @@ class Part(NamedTuple):
 
 
 def names_of(cls: type[Any]) -> tuple[str, ...]:
-    """Names of the attributes that are the state of a class."""
+    """Return the names of the attributes that are the state of a class."""
     declared = [vars(base)["STATE"] for base in reversed(cls.__mro__) if "STATE" in vars(base)]
     if not declared and "__dataclass_fields__" in vars(cls):
         return tuple(each.name for each in dataclasses.fields(cls) if not each.metadata.get("transient"))
@@ -91,32 +91,32 @@ def names_of(cls: type[Any]) -> tuple[str, ...]:
 
 
 def made(name: str, fields: Mapping[str, Any]) -> Any:
-    """An object of a class decorated with `storable`."""
+    """Make an object of a class decorated with `storable`."""
     if name not in VALUES:
         raise ValueError(f"it holds a {name!r}, which is not known")
     return VALUES[name](**fields)
 
 
 def state_of(owner: object) -> dict[str, Any]:
-    """The state of an object, by the names of its attributes.
+    """Return the state of an object, by the names of its attributes.
 
     It refers to the object's arrays: store or copy it before the object changes. The object's own ``get_state`` is not
-    called, which may thus be ``{**state_of(self), ...}``.
+    called, so that method may return ``{**state_of(self), ...}``.
     """
     return _fields(owner, type(owner).__name__, {})
 
 
 def restore(owner: Any, state: Mapping[str, Any]) -> None:
-    """Write what `state_of` returned into an object that was made with the same arguments.
+    """Write a state from `state_of` into an object that was made with the same arguments.
 
-    The object's own ``set_state`` is not called. It takes the arrays over.
+    The object's own ``set_state`` is not called. The object takes over the arrays.
     """
     for name in _names(owner):
         setattr(owner, name, _restored(getattr(owner, name, None), state[name], f"{type(owner).__name__}.{name}"))
 
 
 def _names(owner: object) -> list[str]:
-    """`names_of`, without those that an object of another library lacks."""
+    """Return `names_of`, without those that an object of another library lacks."""
     foreign = isinstance(owner, tuple(FOREIGN))
     return [name for name in names_of(type(owner)) if not foreign or hasattr(owner, name)]
 
@@ -151,7 +151,7 @@ def _kept(item: Any, where: str, seen: dict[int, object], *, direct: bool = Fals
 
 
 def own_state(item: Any, where: str = "", seen: dict[int, object] | None = None) -> Any:
-    """The state of a mutable object by its own ``get_state``, and otherwise by its fields."""
+    """Return the state of a mutable object by its own ``get_state``, or else by its fields."""
     if isinstance(item, np.random.Generator):
         return item.bit_generator.state
     if hasattr(item, "get_state"):  # torch's generators have it
@@ -165,7 +165,7 @@ def own_state(item: Any, where: str = "", seen: dict[int, object] | None = None)
 
 
 def _restored(present: Any, item: Any, where: str) -> Any:
-    """The item, or the present object after it has taken the item's place."""
+    """Return the item, or the present object with the item's state."""
     if isinstance(item, Part):
         if type(present).__name__ != item.of:
             raise ValueError(f"{where} is a {type(present).__name__}, and was a {item.of}")
@@ -196,7 +196,7 @@ def _restored(present: Any, item: Any, where: str) -> Any:
 
 
 def set_own_state(present: Any, state: Any) -> None:
-    """Write what `own_state` returned into an object."""
+    """Write a state from `own_state` into an object."""
     if isinstance(present, np.random.Generator):
         present.bit_generator.state = state
     elif hasattr(present, "set_state"):
@@ -215,5 +215,5 @@ def _at(container: Any, key: Any) -> Any:
 
 
 def _is_tensor(item: object) -> bool:
-    torch = sys.modules.get("torch")  # whoever has a tensor has imported it
+    torch = sys.modules.get("torch")  # if there is a tensor, torch is imported
     return torch is not None and isinstance(item, torch.Tensor)

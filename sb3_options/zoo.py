@@ -1,8 +1,8 @@
-"""What rl-zoo3 needs to name in a YAML file: a wrapper that finds the options of the run that is played.
+"""A wrapper for the YAML files of rl-zoo3, which finds the options of the run that is played.
 
-rl-zoo3 trains, plays (``rl_zoo3.enjoy``) and records (``rl_zoo3.record_video``) in separate processes, and hands its
-wrappers nothing but what the YAML file says. A model that has learned to choose options needs them in the environment
-it is played in, so `ZooOptionsWrapper` reads from the command line which run that is.
+rl-zoo3 trains, plays (``rl_zoo3.enjoy``) and records (``rl_zoo3.record_video``) in separate processes, and passes to
+its wrappers only the arguments in the YAML file. A model that has learned to choose options needs them in the
+environment it is played in. So `ZooOptionsWrapper` reads from the command line which run that is.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 
 FILES = Path(__file__).with_name("rl_zoo3")
-"""Folder of the YAML files for rl-zoo3, one an algorithm: ``python -m sb3_options.zoo`` prints it."""
+"""Folder of the YAML files for rl-zoo3, one per algorithm: ``python -m sb3_options.zoo`` prints it."""
 
 PLAYERS = ("enjoy", "record_video", "push_to_hub")
 """The programs of rl-zoo3 that load a run."""
@@ -30,18 +30,18 @@ PLAYERS = ("enjoy", "record_video", "push_to_hub")
 class ZooOptionsWrapper(OptionsWrapper):
     """`OptionsWrapper` that starts with the options of the run that rl-zoo3 loads.
 
-    In `PLAYERS` these are the options of the run played; in ``rl_zoo3.train --trained-agent FILE`` those of that model;
-    else there are none to start with. The model's zip holds them.
+    In `PLAYERS` these are the options of the run that is played; in ``rl_zoo3.train --trained-agent FILE`` those of
+    that model; else there are none at first. The model's zip holds them.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
         max_options: Number of slots.
         options_file: Another file to start with.
-        **kwargs: Of `OptionsWrapper`.
+        **kwargs: Arguments of `OptionsWrapper`.
 
     Raises:
         FileNotFoundError: The run has no model.
-        ValueError: The model holds no options, they do not fit, or which program runs cannot be told.
+        ValueError: The model holds no options, they do not fit, or the running program is unknown.
     """
 
     def __init__(
@@ -57,15 +57,15 @@ class ZooOptionsWrapper(OptionsWrapper):
         super().__init__(env, max_options, options_file=options_file, **kwargs)
 
     def discount_with(self, gamma: float) -> None:
-        """Take the discount of the algorithm."""
+        """Adopt the discount of the algorithm."""
         self.gamma = float(gamma)
         self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
 
 
 def loaded_model(program: str, arguments: Sequence[str]) -> Path | None:
-    """The model file that a program of rl-zoo3 loads, such as ``enjoy``; None where it loads none.
+    """Return the model file that a program of rl-zoo3 loads, such as ``enjoy``; None if it loads none.
 
-    Flags may be abbreviated, as rl-zoo3 has it: what is ambiguous there has ended its program before.
+    Flags may be abbreviated, as in rl-zoo3, which has already refused ambiguous ones.
     """
     parser = argparse.ArgumentParser(add_help=False)
     if program == "train":
@@ -74,7 +74,7 @@ def loaded_model(program: str, arguments: Sequence[str]) -> Path | None:
         return Path(agent) if agent else None
     if program not in PLAYERS:
         return None
-    # Imported here: the wrapper is of use without rl-zoo3 as well.
+    # Imported here: the wrapper is useful without rl-zoo3 as well.
     from huggingface_sb3 import EnvironmentName
     from rl_zoo3.utils import get_latest_run_id, get_model_path
 
@@ -93,16 +93,16 @@ def loaded_model(program: str, arguments: Sequence[str]) -> Path | None:
     which = known.load_best, known.load_checkpoint, known.load_last_checkpoint
     try:
         return Path(get_model_path(run or -1, known.folder, known.algo, name, *which)[1])
-    except (AssertionError, ValueError):  # there is none, which rl-zoo3 says itself
+    except (AssertionError, ValueError):  # there is no model; rl-zoo3 says so itself
         return (runs / f"{name}_{run}" if run > 0 else runs) / f"{name}.zip"
 
 
 def _program() -> str:
-    """The name of the program that runs."""
+    """Return the name of the running program."""
     name = Path(sys.argv[0]).stem
     if name != "rl_zoo3":
         return name
-    # The command drops its subcommand from sys.argv, and a worker process gets nothing but that.
+    # The command drops its subcommand from sys.argv, and a worker process gets only sys.argv.
     if multiprocessing.parent_process() is not None:
         raise ValueError(
             "In a worker process ZooOptionsWrapper cannot tell which program runs: start `python -m rl_zoo3.train` or "

@@ -1,8 +1,8 @@
-"""Gymnasium's wrappers above `OptionsWrapper`: which may stand there, and what a ``Monitor`` among them counts.
+"""Gymnasium's wrappers above `OptionsWrapper`: which are allowed, and what a ``Monitor`` among them counts.
 
-What options do inside `OptionsWrapper` passes no wrapper above it. One that changes rewards, observations or the ends
-of episodes would change decisions and leave the primitive steps inside options as they are: an algorithm would learn
-from two environments at once.
+Wrappers above `OptionsWrapper` do not see the primitive steps inside options. A wrapper that changes rewards,
+observations or the ends of episodes would change decisions, but not these steps. An algorithm would then learn from two
+environments at once.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ UNCHANGED = (
     wrappers.RecordVideo,
     wrappers.RenderCollection,
 )
-"""Wrappers with a ``step`` of their own that returns what the environment's returned, but for additions to ``info``."""
+"""Wrappers with a ``step`` of their own that returns the environment's step, apart from additions to ``info``."""
 
 
 class PrimitiveMonitor(Monitor[Any, Any]):
     """Counts the primitive steps inside options, and sums their undiscounted rewards.
 
     SB3 puts a ``Monitor`` around an environment that has none. Above the options it would count decisions, and sum the
-    discounted rewards of their runs. `monitor_primitive_steps` makes one of these of it where it stands.
+    discounted rewards of their runs. `monitor_primitive_steps` turns such a ``Monitor`` into this class in place.
     """
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """As the environment's step."""
+        """Take a step of the environment."""
         if self.needs_reset:
             return super().step(action)  # which refuses
         result = self.env.step(action)
@@ -52,21 +52,21 @@ class PrimitiveMonitor(Monitor[Any, Any]):
 
 
 class _Answer(gym.Env[Any, Any]):
-    """Returns the answers recorded before."""
+    """Returns the recorded result of a step."""
 
     def __init__(self, result: tuple[Any, ...]) -> None:
         self.step = lambda action: result  # type: ignore[method-assign]  # as the method
 
 
 def count_primitive_steps(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> None:
-    """Let every ``Monitor`` above the options count primitive steps; those of a user's own class are let be."""
+    """Let every ``Monitor`` above the options count primitive steps, except subclasses of ``Monitor``."""
     for env in _above(outermost, options):
         if type(env) is Monitor:
             env.__class__ = PrimitiveMonitor
 
 
 def names_of_changing(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> tuple[str, ...]:
-    """Classes of the wrappers above the options that may change steps, the outermost first.
+    """Return the classes of the wrappers above the options that may change steps, the outermost first.
 
     A class with a ``step`` of its own may, unless it is among `UNCHANGED` or has ``returns_steps_unchanged = True``.
     """
@@ -79,15 +79,15 @@ def names_of_changing(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) 
 
 
 def changing_steps(venv: VecEnv) -> set[str]:
-    """Classes of the wrappers above `OptionsWrapper`, which all environments are in, that may change steps."""
-    venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # asked of the outermost wrapper first
+    """Return the classes of wrappers above `OptionsWrapper` that may change steps, in any environment."""
+    venv.env_is_wrapped(Outermost)  # type: ignore[arg-type]  # it asks the outermost wrapper first
     return {name for names in venv.get_attr("above") for name in names}
 
 
 def monitor_primitive_steps(venv: VecEnv) -> None:
-    """Let each ``Monitor`` above the `OptionsWrapper` count primitive steps: SB3 puts one around what has none.
+    """Let each ``Monitor`` above `OptionsWrapper`, such as the one that SB3 adds, count primitive steps.
 
-    Environments without `OptionsWrapper` are let be.
+    Environments without `OptionsWrapper` stay unchanged.
     """
     if all(venv.env_is_wrapped(Outermost)):  # type: ignore[arg-type]  # as above
         venv.env_method("set_slots", primitive_monitor=True)
@@ -111,4 +111,4 @@ class _Kind(type):
 
 
 class Outermost(metaclass=_Kind):
-    """For ``VecEnv.env_is_wrapped``, which asks the outermost wrapper first: `OptionsWrapper` knows it then."""
+    """Class for ``VecEnv.env_is_wrapped``: its check tells `OptionsWrapper` which wrapper is outermost."""

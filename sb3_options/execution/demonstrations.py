@@ -1,4 +1,4 @@
-"""Demonstrations: trajectories of somebody else's policy."""
+"""Demonstrations: trajectories of another policy."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ def record_demonstrations(
     """Record episodes of a policy, for ``SubgoalDiscoveryCallback(demonstrations=...)``.
 
     Args:
-        env: Of discrete actions, with a limit of time. It gets an `OptionsWrapper` if it has none.
-        policy: From one observation to an action: an SB3 model, or a function. A function that plans with the state of
-            the environment, or asks a person, holds ``env`` itself.
-        episodes: How many.
-        seed: Of the first reset; the next have ``seed + 1`` and so on.
+        env: Environment with discrete actions and a time limit. It gets an `OptionsWrapper` if it has none.
+        policy: Policy from one observation to an action: an SB3 model, or a function. A function that plans with the
+            state of the environment, or asks a person, holds ``env`` itself.
+        episodes: Number of episodes.
+        seed: Seed of the first reset; later resets use ``seed + 1`` and so on.
 
     Returns:
         The episodes in primitive steps, successful or not.
 
     Raises:
-        ValueError: The policy chose no action of the environment.
+        ValueError: The policy chose an action that the environment does not have.
     """
     if not env.has_wrapper_attr("random_trajectories"):
         env = OptionsWrapper(env, 0)
@@ -40,6 +40,6 @@ def record_demonstrations(
         while not ended:
             observation, _, terminated, truncated, info = env.step(act(observation))
             ended = terminated or truncated
-        if "trajectory" in info:  # one that was too long is dropped
+        if "trajectory" in info:  # an episode that was too long is dropped
             trajectories.append(info["trajectory"])
     return trajectories

@@ -1,7 +1,7 @@
 """A cap on exploratory option choices.
 
-DQN and QRDQN explore by ``action_space.sample()``, uniformly over all actions. An option lasts many primitive steps. So
-with as many options as primitives nearly all exploratory steps would be taken inside options.
+DQN and QRDQN explore by ``action_space.sample()``, uniformly over all actions. An option lasts many primitive steps.
+With as many options as primitives, nearly all exploratory steps would happen inside options.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from sb3_options.experience.observations import BoolArray
 
 
 class CappedActions(spaces.Discrete):
-    """Augmented actions of which `sample` draws at most a given share of options.
+    """Augmented actions whose `sample` draws options up to a given share.
 
-    While uniform choices keep to the share, they are drawn as ``Discrete`` draws them. In the place of an empty slot a
-    primitive is drawn, each as often as the others.
+    While uniform choices keep to the share, they are drawn as by ``Discrete``. A primitive, chosen uniformly, replaces
+    an empty slot.
     """
 
     def __init__(self, actions: spaces.Discrete[Any], n_primitive: int, share: float) -> None:
@@ -30,7 +30,7 @@ class CappedActions(spaces.Discrete):
         self.filled: tuple[int, ...] = ()
 
     def sample(self, mask: Any = None, probability: Any = None) -> Any:
-        """One exploratory choice; ``mask`` and ``probability`` as for ``Discrete``."""
+        """Draw an exploratory choice; ``mask`` and ``probability`` as for ``Discrete``."""
         if mask is not None or probability is not None:
             return super().sample(mask, probability)
         if len(self.filled) <= self.share * int(self.n):
@@ -42,7 +42,7 @@ class CappedActions(spaces.Discrete):
         return self.np_random.integers(self.n_primitive)
 
     def choose(self, allowed: BoolArray) -> int:
-        """One exploratory choice among the allowed actions, (n_actions,), uniform while that keeps to the share."""
+        """Draw an exploratory choice among allowed actions, (n_actions,), uniformly while that keeps to the share."""
         primitive = np.flatnonzero(allowed[: self.n_primitive])
         options = self.n_primitive + np.flatnonzero(allowed[self.n_primitive :])
         total = len(primitive) + len(options)
@@ -52,7 +52,7 @@ class CappedActions(spaces.Discrete):
 
 
 def cap_option_exploration(model: BaseAlgorithm, n_primitive: int, share: float) -> CappedActions | None:
-    """Give a model that explores by ``action_space.sample()`` a space of `CappedActions`; None for any other."""
+    """Give a model that explores by ``action_space.sample()`` a `CappedActions`, and return it; None for any other."""
     if not hasattr(model, "exploration_rate") or not isinstance(model.action_space, spaces.Discrete):
         return None
     model.action_space = capped = CappedActions(model.action_space, n_primitive, share)

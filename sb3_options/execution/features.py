@@ -1,4 +1,4 @@
-"""Which feature map φ an environment gets when its user names none."""
+"""Which feature map φ an environment gets if its user names none."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sb3_options.experience.observations import FeatureMap, FloatArray, IntArray
 from sb3_options.options.file import SpaceSignature
 
 MAX_FEATURES = 4096
-"""Concept spaces with more dimensions than this (images, say) are refused: distances in them mean nothing."""
+"""Concept spaces with more dimensions, such as images, are refused: distances in them mean nothing."""
 
 NUMBERS = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)
 """Spaces that Stable-Baselines3 takes, alone or as parts of a ``Dict``."""
@@ -35,9 +35,9 @@ class Features(NamedTuple):
     """A feature map φ and where it comes from."""
 
     map: FeatureMap
-    size: int | None  # dimensions d; None where φ refuses a made-up observation, until there is a real one
+    size: int | None  # dimensions d; None if φ refuses a made-up observation, until there is a real one
     kind: FeatureKind
-    groups: tuple[FeatureGroup, ...] = ()  # features that make a concept together; empty where all do
+    groups: tuple[FeatureGroup, ...] = ()  # features that make a concept together; empty if all do
 
 
 def _one_hot(numbers: IntArray, observations: Observations) -> FloatArray:
@@ -45,7 +45,7 @@ def _one_hot(numbers: IntArray, observations: Observations) -> FloatArray:
 
 
 def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) -> Features | None:
-    """The feature map to use for ``env``, as `of_space` says."""
+    """Return the feature map for ``env``, by the rules of `of_space`."""
     own = env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None
     return of_space(env.observation_space, feature_map, own)
 
@@ -53,9 +53,9 @@ def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) ->
 def of_space(
     space: gym.Space[Any], feature_map: FeatureMap | MapName | None, own: FeatureMap | None
 ) -> Features | None:
-    """The feature map to use: the given one, else the environment's ``own``, else one that fits its space.
+    """Return the feature map to use: the given one, else the environment's ``own``, else one that fits its space.
 
-    None where there is no sensible default (``Dict`` and other composite spaces, images).
+    Return None if there is no sensible default (``Dict`` and other composite spaces, images).
     """
     if isinstance(feature_map, str) and feature_map == LEARNED:
         feature_map = LearnedMap(form_of(space))
@@ -70,7 +70,7 @@ def of_space(
         size = _size_of(feature_map, space, "feature_map")
         return Features(feature_map, size, "given", _groups(getattr(feature_map, "concept_groups", None), size))
     if own is not None:
-        # The wrapper that has φ: another one beneath may name groups of other features.
+        # The wrapper that has φ: another wrapper beneath may name groups of other features.
         owner = getattr(own, "__self__", None)
         _check_seen(owner, space)
         size = _size_of(own, space, "the environment's concept_features")
@@ -86,7 +86,7 @@ def of_space(
 
 
 def _check_seen(owner: Any, space: spaces.Space[Any]) -> None:
-    """Refuse φ of an environment whose observations a wrapper has changed: it would make something else of them."""
+    """Refuse φ of an environment whose observations a wrapper has changed: φ would misread them."""
     of_owner = getattr(owner, "observation_space", space)
     if of_owner != space:
         raise ValueError(
@@ -97,7 +97,7 @@ def _check_seen(owner: Any, space: spaces.Space[Any]) -> None:
 
 
 def form_of(space: gym.Space[Any]) -> ObservationForm:
-    """What the network of a learned map has to know of a space of observations."""
+    """Return the form of an observation space, for the network of a learned map."""
     if isinstance(space, spaces.Discrete):
         return ObservationForm("table", (int(space.n),), int(space.start))
     if isinstance(space, spaces.Box):
@@ -106,13 +106,13 @@ def form_of(space: gym.Space[Any]) -> ObservationForm:
 
 
 def _groups(named: Callable[[], Iterable[Mapping[str, Any]]] | None, size: int | None) -> tuple[FeatureGroup, ...]:
-    """The groups that a ``concept_groups`` names, if there is one."""
+    """Return the groups that a ``concept_groups`` names, if there is one."""
     groups = () if named is None else tuple(given_as(FeatureGroup, group) for group in named())
     return groups if size is None else checked_groups(groups, size)
 
 
 def flat_size(space: gym.Space[Any]) -> int:
-    """How many numbers `observations.flatten` makes of one observation of ``space``."""
+    """Return the length of one flat observation of ``space`` (`observations.flatten`)."""
     parts = space.spaces if isinstance(space, spaces.Dict) else {"observation": space}
     others = [f"{name}: {_described(part)}" for name, part in parts.items() if not isinstance(part, NUMBERS)]
     if others:
@@ -126,7 +126,7 @@ def flat_size(space: gym.Space[Any]) -> int:
 
 
 def _sample(space: gym.Space[Any]) -> Observations:
-    # From a copy, so that the environment's own space draws what it would have drawn without us.
+    # From a copy: the environment's own space must draw the same samples as without us.
     space = copy.deepcopy(space)
     space.seed(0)
     return obs_batch.batch_of_one(space.sample())
@@ -138,13 +138,13 @@ def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int |
         feature_map(sample)
     except Exception:
         # A random element of the space need not be an observation (random pixels show no agent), and a user's function
-        # may raise anything then. The first observation of an episode tells the size.
+        # may raise anything then. The first observation of an episode reveals the size.
         return None
     return checked_size(feature_map, sample, name)
 
 
 def computed(features: Features | None, observations: Observations, space: gym.Space[Any]) -> FloatArray:
-    """φ of a batch of observations of ``space``, shape (batch, d)."""
+    """Return φ of a batch of observations of ``space``, shape (batch, d)."""
     if features is None:
         raise ValueError(
             f"There is no default feature map for {space}: pass OptionsWrapper(env, feature_map=...) a function from a "
@@ -154,7 +154,7 @@ def computed(features: Features | None, observations: Observations, space: gym.S
 
 
 def checked_size(feature_map: FeatureMap, one: Observations, name: str = "feature_map") -> int:
-    """Dimensions d of what a feature map makes of a batch of ``one`` observation, and of a batch of two."""
+    """Return the dimensions d of a feature map, after checking it on ``one`` observation and on two."""
     features = np.asarray(feature_map(one))
     two = np.asarray(feature_map(obs_batch.concatenate([one, one])))
     d = features.shape[-1] if features.ndim else 0
@@ -167,7 +167,7 @@ def checked_size(feature_map: FeatureMap, one: Observations, name: str = "featur
 
 
 def signature(space: gym.Space[Any], features: Features | None) -> SpaceSignature:
-    """What an options file says of the observations that its options act on."""
+    """Return the description of the observations that an options file holds."""
     sha256 = hashlib.sha256()
     for part in _parts(space, ""):
         sha256.update(part + b"\n")
@@ -175,13 +175,13 @@ def signature(space: gym.Space[Any], features: Features | None) -> SpaceSignatur
 
 
 def _described(space: gym.Space[Any]) -> str:
-    """A space in a line that is short enough for an error."""
+    """Return a description of a space in one line that is short enough for an error."""
     text = " ".join(str(space).split())
     return text if len(text) <= 200 else text[:200] + "…"
 
 
 def _parts(space: gym.Space[Any], name: str) -> Iterator[bytes]:
-    """All properties in which two spaces can differ, part by part."""
+    """Yield all properties in which two spaces can differ, part by part."""
     if isinstance(space, spaces.Dict):
         yield f"{name} Dict {sorted(space.spaces)}".encode()
         for key in sorted(space.spaces):
@@ -194,7 +194,7 @@ def _parts(space: gym.Space[Any], name: str) -> Iterator[bytes]:
         yield f"{name} Box {space.shape} {space.dtype}".encode()
         yield space.low.tobytes() + space.high.tobytes()
     elif isinstance(space, spaces.MultiDiscrete):
-        # Not its text, in which numpy leaves out the middle of a long array.
+        # Not its text: numpy leaves out the middle of a long array there.
         yield f"{name} MultiDiscrete {space.dtype} {space.nvec.tolist()} {space.start.tolist()}".encode()
     else:
         yield f"{name} {space}".encode()

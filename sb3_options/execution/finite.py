@@ -1,4 +1,4 @@
-"""Observations and rewards that no network can learn from, refused where they come from."""
+"""Refuses observations and rewards that no network can learn from, where they come from."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import gymnasium as gym
 import numpy as np
 
 LARGEST = float(np.finfo(np.float32).max)
-"""Networks and buffers of Stable-Baselines3 compute in single precision, in which more than this is infinite."""
+"""Largest number in single precision, in which networks and buffers of Stable-Baselines3 compute."""
 
 
 def check_finite(env: gym.Env[Any, Any], observation: Any, reward: Any = 0.0) -> None:
-    """Refuse NaN, infinity and what single precision cannot hold, of which SB3 would learn a policy of NaN."""
+    """Refuse NaN, infinity and numbers too large for single precision, which would make SB3's policy NaN."""
     wrong = f"the reward {reward}" if not abs(float(reward)) <= LARGEST else None  # NaN compares as false
     for key, part in (observation if isinstance(observation, Mapping) else {None: observation}).items():
         array = np.asarray(part)

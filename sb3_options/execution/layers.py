@@ -1,8 +1,8 @@
 """The state of an environment in mid-episode: of each of its wrappers and of the innermost environment.
 
-An environment that gives and takes its state has ``get_state()`` and ``set_state(state)``, of numbers, text, arrays,
-lists and dictionaries. Its ``np_random`` need not be in it. Of any other, and of wrappers that do not tell what they
-remember, the episode is repeated; see `repeating`.
+An environment that supports this has ``get_state()`` and ``set_state(state)``. Its state consists of numbers, text,
+arrays, lists and dictionaries, and need not include ``np_random``. For other environments, and for wrappers with an
+unknown state, the episode is repeated; see `repeating`.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ REMEMBER_NOTHING = (
     wrappers.TransformObservation,
     wrappers.TransformReward,
 )
-"""Wrappers, with the classes derived from them, that are the same in every step."""
+"""Wrappers, with their subclasses, that are the same in every step."""
 
 
 def prepare(env: Any, *, just_reset: bool = False) -> Any:
-    """The environment, with a `RecordActions` around the outermost layer that does not tell its state."""
+    """Return the environment, with a `RecordActions` around the outermost layer of unknown state."""
     layers = list(_layers(env))
     silent = next((i for i, layer in enumerate(layers) if isinstance(layer, RecordActions) or not _tells(layer)), None)
     if silent is None or isinstance(layers[silent], RecordActions):
@@ -63,19 +63,19 @@ def prepare(env: Any, *, just_reset: bool = False) -> Any:
 
 
 def states_of(env: gym.Env[Any, Any]) -> list[State]:
-    """The states of an environment and its wrappers, the outermost first, after `prepare`."""
+    """Return the states of an environment and its wrappers after `prepare`, the outermost first."""
     return [{"class": type(layer).__name__, **_state_of(layer)} for layer in _layers(env)]
 
 
 def set_states(env: gym.Env[Any, Any], states: list[State]) -> str | None:
-    """Go on with what `states_of` gave, after a reset; returns why the episode cannot go on where it was, or None."""
+    """Restore the states from `states_of` after a reset; return why the episode cannot resume where it was, or None."""
     layers = list(_layers(env))
     there = [state["class"] for state in states]
     here = [type(layer).__name__ for layer in layers]
     if here != there:
         raise ValueError(f"The environment is {' around '.join(here)}; its checkpoint is of {' around '.join(there)}.")
     failure = None
-    for layer, state in zip(layers, states, strict=True):  # what is beneath a RecordActions comes after it
+    for layer, state in zip(layers, states, strict=True):  # layers beneath a RecordActions come after it
         if "own" in state:
             set_own_state(layer, state["own"])
         if "random" in state:
@@ -95,13 +95,13 @@ def _layers(env: Any) -> Iterator[Any]:
 
 
 def _tells(layer: Any) -> bool:
-    """Whether a layer tells its state; beneath a `RecordActions` it need not."""
+    """Return whether the state of a layer is known. Beneath a `RecordActions` it need not be."""
     known = _own(layer) or isinstance(layer, (Monitor, *REMEMBER_NOTHING))
     return known or (isinstance(layer, gym.Wrapper) and getattr(layer, "remembers_nothing", False))
 
 
 def _own(layer: Any) -> bool:
-    """Whether it has a state of its own, or a declared one."""
+    """Return whether a layer has a state of its own, or a declared one."""
     return hasattr(layer, "get_state") or hasattr(layer, "STATE") or type(layer) in FOREIGN
 
 

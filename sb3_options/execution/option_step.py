@@ -1,4 +1,4 @@
-"""An option from its start to its end: one step of a semi-Markov decision process."""
+"""An option from start to end: one step of a semi-Markov decision process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ StepReturn: TypeAlias = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 
 
 class RunUnderWay:
-    """An option that is running: the primitive steps it has taken."""
+    """An option that is running, with the primitive steps it has taken."""
 
     def __init__(self, slot: int, observation: Any, gamma: float, *, inside: bool) -> None:
         self.slot = slot
@@ -37,7 +37,7 @@ class RunUnderWay:
         self.discount *= self.gamma
 
     def ended(self, termination: Termination, available: BoolArray | None) -> OptionRun:
-        """The record of the run, with the slots that are ``available`` in the k observations arrived in."""
+        """Return the record of the run, with the slots that are ``available`` in the k observations arrived in."""
         return OptionRun(
             self.slot,
             len(self.actions),
@@ -65,13 +65,13 @@ def run_option(
     random: np.random.Generator,
     legal: Callable[[], BoolArray | None],
 ) -> tuple[StepReturn, OptionRun]:
-    """Run an option until the episode, β, I, or its longest duration ends it, asked in this order.
+    """Run an option until the episode, β, I or its longest duration ends it, checked in this order.
 
-    It also ends, as if it had left I, where the environment masks the primitive action that it would take next:
-    ``legal`` says which may be taken now. Outside I it runs for one step. ``available`` says which slots may start in
-    the k observations arrived in, for the record.
+    The option also ends, as if it had left I, if the environment masks its next primitive action. ``legal`` returns the
+    primitives that are allowed now. Outside I the option runs for one step. ``available`` returns which slots may start
+    in the k observations arrived in, for the record.
 
-    Returns what the last step returned, with Σ γⁱ rᵢ in the place of its reward, and the record of the run.
+    Return the result of the last step, with Σ γⁱ rᵢ as its reward, and the record of the run.
     """
     run = RunUnderWay(slot, observation, gamma, inside=inside)
     termination: Termination | None = None
@@ -98,12 +98,12 @@ def run_option(
 
 
 def primitive_of(option: Option, observation: Any, n_primitive: int) -> int:
-    """The primitive action that an option's policy takes."""
+    """Return the primitive action that an option's policy takes."""
     return int(primitives_of(option, batch_of_one(observation), n_primitive)[0])
 
 
 def primitives_of(option: Option, observations: Observations, n_primitive: int) -> IntArray:
-    """The primitive actions that an option's policy takes, (batch,)."""
+    """Return the primitive actions that an option's policy takes, (batch,)."""
     actions = option.policy(observations)
     for action in actions.tolist():
         if not 0 <= action < n_primitive:
@@ -116,7 +116,7 @@ def primitives_of(option: Option, observations: Observations, n_primitive: int) 
 def why_ended(
     duration: int, max_duration: int, probability: float, random: np.random.Generator, *, goes_on: bool
 ) -> Termination | None:
-    """Why a run ends after so many steps, where β is ``probability``; None where it goes on, as it may within I."""
+    """Return why a run ends after ``duration`` steps, where β is ``probability``, or None if it goes on."""
     if probability >= 1.0 or (probability > 0.0 and random.random() < probability):
         return "subgoal"
     if not goes_on:

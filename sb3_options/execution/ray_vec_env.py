@@ -28,25 +28,25 @@ logger = logging.getLogger("sb3_options")
 EnvFns: TypeAlias = Sequence[Callable[[], gym.Env[Any, Any]]]
 
 Message: TypeAlias = tuple[int, str, Any]
-"""Number of an environment in its actor, and what ``SubprocVecEnv`` sends to a worker: command and data."""
+"""Number of an environment in its actor, then command and data as ``SubprocVecEnv`` sends them to a worker."""
 
-MOST_LOSSES = 8  # losses of the same environments, with no step between them, after which the fault is theirs
+MOST_LOSSES = 8  # losses of the same environments without a step between, after which they are to blame
 
 FIRST_WAIT = 0.25
-"""Seconds before a second start: the cluster may not have noticed yet which machine is gone. Doubles each time."""
+"""Seconds before a second start, doubled each time: the cluster may not yet have noticed which machine is gone."""
 
-LEAST_WAIT = 1.0  # seconds in which an answer that is there can be fetched, though another one has used up the time
+LEAST_WAIT = 1.0  # seconds to fetch an answer that is ready, although another one has used up the time
 
 
 OBJECT_STORE = 200 * 2**20
-"""Bytes of shared memory of a cluster that is started here. Ray's default is 30 % of the machine's memory; what
-environments and studies send is small and passes it by, but for images."""
+"""Bytes of shared memory of a cluster that is started here. Ray's default is 30 % of the machine's memory. Messages of
+environments and studies are small and bypass it, except for images."""
 
 
 def require_ray() -> ModuleType:
-    """Ray, imported."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read on import; by default Ray reports to its makers
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # without it Ray warns that this will be so
+    """Import and return Ray."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read on import; by default Ray sends usage reports
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else Ray warns that this will be the default
     try:
         import ray
     except ModuleNotFoundError as error:
@@ -57,10 +57,10 @@ def require_ray() -> ModuleType:
 
 
 def connect(address: str | None = None) -> Any:
-    """Ray, connected to a cluster as ``ray.init`` takes its address; what is connected already stays so.
+    """Return Ray, connected to a cluster at an address of ``ray.init``. An existing connection is kept.
 
-    None is the cluster that the variable ``RAY_ADDRESS`` names, else a new one of this machine alone, which ends with
-    the process.
+    None is the cluster named in the variable ``RAY_ADDRESS``, else a new one of this machine alone, which ends with the
+    process.
     """
     ray = require_ray()
     if ray.is_initialized():
@@ -74,17 +74,17 @@ def connect(address: str | None = None) -> Any:
 
 
 class HostedEnvironments:
-    """The environments of an actor, one after the other. Behaves as the workers of ``SubprocVecEnv``."""
+    """The environments of an actor, which run one after the other. Behaves as the workers of ``SubprocVecEnv``."""
 
     def __init__(self, env_fns: EnvFns) -> None:
         self._env_fns = env_fns
-        self.envs: list[Any] = []  # made later: an error in one is not one of starting the process
+        self.envs: list[Any] = []  # made later: an error in one must not look like a failed process start
         self._reset_infos: list[Any] = [{} for _ in env_fns]
 
     def answer(self, messages: Sequence[Message]) -> list[Any]:
-        """The answers to messages."""
+        """Return the answers to messages."""
         self.envs = self.envs or [_patch_env(make()) for make in self._env_fns]
-        # They share nothing, and what Ray hands out cannot be written to.
+        # Environments must share nothing, and Ray's objects are read-only.
         return [self._answer(i, command, copy.deepcopy(data)) for i, command, data in messages]
 
     def _answer(self, i: int, command: str, data: Any) -> Any:
@@ -104,13 +104,13 @@ class HostedEnvironments:
         return _HOW[command](env, data)
 
     def close(self) -> None:
-        """Close all of them."""
+        """Close all environments."""
         for env in self.envs:
             env.close()
 
 
 def _lost_step(env: Any, last: Any) -> dict[str, Any]:
-    """The info of a step from the last known observation that is lost with its environment."""
+    """Return the info of a step that is lost with its environment, from the last known observation."""
     info = env.get_wrapper_attr("lost_step")(last) if env.has_wrapper_attr("lost_step") else {}
     return info | {"TimeLimit.truncated": True, "terminal_observation": last, "lost": True}
 
@@ -128,7 +128,7 @@ _HOW: dict[str, Callable[[Any, Any], Any]] = {
 
 
 class _Pipe:
-    """Stands for ``SubprocVecEnv``'s pipe to a worker. Messages wait until the first answer is asked for."""
+    """Stands in for ``SubprocVecEnv``'s pipe to a worker. Messages wait until the first answer is requested."""
 
     def __init__(self, venv: RayVecEnv, actor: int, index: int) -> None:
         self._venv = venv
@@ -146,34 +146,36 @@ class _Pipe:
 
 
 class RayVecEnv(SubprocVecEnv):
-    """A ``SubprocVecEnv`` whose environments live in Ray actors, several to an actor, on all machines of a cluster.
+    """A ``SubprocVecEnv`` whose environments live in Ray actors on all machines of a cluster, several to an actor.
 
-    It gives the same trajectories for the same seeds. A step is one message to each actor and takes a millisecond more
-    than the environments, so it is for environments that cost. Every machine needs the same Python and packages.
+    It gives the same trajectories for the same seeds. A step is one message to each actor and adds about a millisecond,
+    so the class is for slow environments. Every machine needs the same Python and packages.
 
-    The loss of a machine, or of a process, ends no training. The environments of its actors start anew elsewhere, with
-    seeds of their own and what was put into their slots (`OptionsWrapper.set_slots`). Episodes in flight end as
-    truncated: reward 0, ``info["TimeLimit.truncated"]``, the last known observation as ``terminal_observation``, and
-    ``info["lost"]``. There is one warning a loss. What is lost before the first reset starts anew and is not counted.
+    Training survives the loss of a machine or a process. The environments of its actors restart elsewhere, with new
+    seeds and the present content of their slots (`OptionsWrapper.set_slots`). Episodes in flight end as truncated:
+    reward 0, ``info["TimeLimit.truncated"]``, the last known observation as ``terminal_observation``, and
+    ``info["lost"]``. Each loss gives one warning. Environments that are lost before the first reset restart without
+    being counted.
 
     Args:
-        env_fns: Each makes an environment.
-        n_actors: Actors, at most one an environment; by default one a core of the cluster. Ray spreads them.
-        step_timeout: Seconds that an actor may take for an answer before it is lost; None waits for ever. Ray itself
-            notices a process that ended, and after a minute a machine that hangs, but no process that hangs.
+        env_fns: Functions that make one environment each.
+        n_actors: Number of actors, at most one per environment; by default one per core of the cluster. Ray spreads
+            them.
+        step_timeout: Seconds that an actor may take for an answer before it counts as lost; None waits for ever. Ray
+            itself notices a process that ended and, after a minute, a machine that hangs, but not a process that hangs.
 
     Attributes:
-        lost_actors: How often an actor was lost.
+        lost_actors: Number of losses of an actor.
 
     Raises:
         ModuleNotFoundError: Ray is not installed.
-        ConnectionError: There is no cluster where the variable ``RAY_ADDRESS`` says.
-        WorkerLostError: The same environments were lost time and again.
+        ConnectionError: There is no cluster at the address in ``RAY_ADDRESS``.
+        WorkerLostError: The same environments were lost repeatedly.
     """
 
     def __init__(self, env_fns: EnvFns, n_actors: int | None = None, *, step_timeout: float | None = 600.0) -> None:
         self._ray = connect()
-        # No reserved cores, so that environments always find another place. To note every step for Ray's dashboard
+        # Reserve no cores, so that environments always find another place. Recording every step for Ray's dashboard
         # takes a sixth of the time of a call.
         self._class = self._ray.remote(HostedEnvironments).options(
             num_cpus=0, scheduling_strategy="SPREAD", enable_task_events=False
@@ -185,11 +187,11 @@ class RayVecEnv(SubprocVecEnv):
         n_actors = min(n_envs, n_actors or max(1, int(self._ray.cluster_resources().get("CPU", 1))))
         self._groups = [group.tolist() for group in np.array_split(np.arange(n_envs), n_actors)]
         self._env_fns = list(env_fns)
-        self._slots: list[dict[str, Any]] = [{} for _ in env_fns]  # by environment, what `set_slots` was given
+        self._slots: list[dict[str, Any]] = [{} for _ in env_fns]  # by environment: arguments of `set_slots`
         self._first_seeds: list[int | None] = [None] * n_envs
         self._seen: list[Any] = [None] * n_envs  # the last observations
         self._losses_in_a_row = [0] * n_actors
-        self._anew: dict[int, list[Any]] = {}  # by actor, answers to the next step of environments that started anew
+        self._anew: dict[int, list[Any]] = {}  # by actor: answers to the next step of restarted environments
         self._outboxes: list[list[Message]] = [[] for _ in range(n_actors)]
         self.lost_actors = 0
         self.waiting = False
@@ -197,7 +199,7 @@ class RayVecEnv(SubprocVecEnv):
         self.processes = []
         self.remotes: Any = [_Pipe(self, a, i) for a, group in enumerate(self._groups) for i in range(len(group))]
         self._actors = [self._start(a) for a in range(n_actors)]
-        self.step_timeout: float | None = None  # to make an environment may take longer than a step
+        self.step_timeout: float | None = None  # making an environment may take longer than a step
         firsts = [self.remotes[group[0]] for group in self._groups]
         for first in firsts:
             first.send(("get_spaces", None))
@@ -224,11 +226,11 @@ class RayVecEnv(SubprocVecEnv):
             self._ray.kill(self._actors[actor])
 
     def _exchange(self) -> None:
-        """Send the messages that wait. An actor that is lost starts anew and gets them again, but not a step."""
+        """Send the waiting messages. A lost actor restarts and gets them again, except a step."""
         outgoing = {a: messages for a, messages in enumerate(self._outboxes) if messages}
         self._outboxes = [[] for _ in self._actors]
         for remote in self.remotes:
-            remote.inbox.clear()  # an error may have left something
+            remote.inbox.clear()  # an error may have left answers there
         while outgoing:
             for a in [a for a, messages in outgoing.items() if messages[0][1] == "step" and a in self._anew]:
                 self._deliver(a, outgoing.pop(a), self._anew.pop(a))
@@ -248,7 +250,7 @@ class RayVecEnv(SubprocVecEnv):
                 self._start_anew(a, why)
 
     def _deliver(self, actor: int, messages: Sequence[Message], answers: Sequence[Any]) -> None:
-        """Put answers where they are waited for, and note what environments that start anew will need."""
+        """Pass answers to the pipes that wait for them, and note what restarted environments will need."""
         for (i, command, data), answer in zip(messages, answers, strict=True):
             env = self._groups[actor][i]
             if command in ("step", "reset"):
@@ -263,16 +265,16 @@ class RayVecEnv(SubprocVecEnv):
             self.remotes[env].inbox.append(answer)
 
     def _get(self, reference: Any, until: float | None = None) -> list[Any]:
-        """The answers of an actor. An error in an environment is that error."""
+        """Return the answers of an actor. An error in an environment is raised as that error."""
         limit = None if until is None else max(LEAST_WAIT, until - time.monotonic())
         try:
-            answers: list[Any] = copy.deepcopy(self._ray.get(reference, timeout=limit))  # it cannot be written to
+            answers: list[Any] = copy.deepcopy(self._ray.get(reference, timeout=limit))  # Ray's is read-only
         except self._ray.exceptions.RayTaskError as error:
             raise error.cause if isinstance(error.cause, Exception) else error from error
         return answers
 
     def _start_anew(self, actor: int, why: Exception) -> None:
-        """Start the environments of a lost actor elsewhere, with what was set in them."""
+        """Restart the environments of a lost actor elsewhere, with the present content of their slots."""
         which = f"Environments {self._groups[actor]} of {len(self._env_fns)}"
         reason = type(why).__name__
         if self._seen[self._groups[actor][0]] is not None:
@@ -299,11 +301,11 @@ class RayVecEnv(SubprocVecEnv):
         ) from why
 
     def _begin(self, actor: int) -> None:
-        """Put options into environments that start anew, reset them, and keep the answers to the step that is lost."""
+        """Put options into restarted environments, reset them, and keep the answers to the lost step."""
         envs = list(enumerate(self._groups[actor]))
         seen = [self._seen[env] for _, env in envs]
         set_again = [(i, "env_method", ("set_slots", (), self._slots[env])) for i, env in envs if self._slots[env]]
-        outermost = [(i, "is_wrapped", Outermost) for i, *_ in set_again]  # what is asked of each at first
+        outermost = [(i, "is_wrapped", Outermost) for i, *_ in set_again]  # is asked first
         ask = self._actors[actor].answer.remote
         self._get(ask([*outermost, *set_again]))
         if seen[0] is None:
@@ -316,7 +318,7 @@ class RayVecEnv(SubprocVecEnv):
         ]
 
     def _later_seed(self, env: int) -> int | None:
-        """A seed that no environment has had; None where none was seeded."""
+        """Return a seed that no environment has had, or None if none was seeded."""
         first = self._first_seeds[env]
         if first is None:
             return None

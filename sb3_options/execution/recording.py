@@ -16,7 +16,8 @@ from sb3_options.experience.trajectories import Trajectory
 class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     """Records the primitive steps of an environment, and changes nothing.
 
-    `OptionsWrapper` puts it beneath itself when recording is first asked for, and takes from it what is ``finished``.
+    `OptionsWrapper` puts it beneath itself when recording is first requested, and takes the ``finished`` trajectories
+    from it.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -27,11 +28,11 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
 
     @property
     def spec(self) -> EnvSpec | None:  # type: ignore[override]  # a property in gym.Wrapper, too
-        """That of the environment: recording is no part of what ``gym.make`` makes again."""
+        """Spec of the environment: ``gym.make`` must not recreate the recording."""
         return self.env.spec
 
     def set(self, record: bool, max_segment: int | None, observation: Any) -> None:
-        """Whether to record from now on, and segments or episodes; what is under way goes on if nothing changes."""
+        """Set whether to record, and segments or episodes. The current recording goes on if nothing changes."""
         if not record:
             self.recorder = None
             self.finished = []
@@ -43,32 +44,32 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
                 self.recorder.begin(observation)
 
     def take(self) -> dict[str, Any]:
-        """What is finished, as it goes into ``info``; then it is taken."""
+        """Return the finished trajectories as entries of ``info``, and remove them."""
         report = {} if self.recorder is None else self.recorder.report()
         self.finished.clear()
         return report
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: what is under way."""
+        """Return the unfinished recording, for a checkpoint."""
         recorder = None if self.recorder is None else self.recorder.get_state()
         return {"recorder": recorder, "max_segment": self.max_segment}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
+        """Restore the state from `get_state`."""
         self.recorder = None
         self.set(state["recorder"] is not None, state["max_segment"], None)
         if self.recorder is not None:
             self.recorder.set_state(state["recorder"])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset; what was under way is forgotten."""
+        """Reset the environment, and forget the unfinished recording."""
         observation, info = self.env.reset(seed=seed, options=options)
         if self.recorder is not None:
             self.recorder.begin(observation)
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """One primitive step."""
+        """Take one primitive step."""
         result = self.env.step(action)
         if self.recorder is None:
             return result
@@ -81,7 +82,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def recorder_for(max_segment: int | None) -> TrajectoryRecorder:
-    """A recorder of segments, or of episodes without ``max_segment``."""
+    """Return a recorder of segments, or of episodes without ``max_segment``."""
     return TrajectoryRecorder() if max_segment is None else SegmentRecorder(max_segment)
 
 

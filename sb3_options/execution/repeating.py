@@ -1,7 +1,7 @@
-"""`RecordActions`: a checkpoint of an environment that does not tell where its episode is, by repeating the episode.
+"""`RecordActions`: checkpoints an environment of unknown state, by repeating its episode.
 
-It holds how the episode began and which actions were taken. That an environment takes the same course again is seen
-from its observations, its rewards and what it has drawn from its ``np_random``.
+It stores how the episode began and which actions were taken. Observations, rewards and the draws from ``np_random``
+show whether the environment takes the same course again.
 """
 
 from __future__ import annotations
@@ -17,37 +17,37 @@ from gymnasium.envs.registration import EnvSpec
 State = dict[str, Any]
 
 MAX_ACTIONS = 100_000
-"""An episode with more actions is not repeated. In MiniGrid so many take some ten seconds, and 4 MB until then."""
+"""An episode with more actions is not repeated. In MiniGrid this many take some ten seconds, and 4 MB until then."""
 
 UNKNOWN = "it was under way before training started"
 OTHERWISE = "it took another course the second time"  # why an episode does not go on
 
 
 class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
-    """Notes how an episode began and its actions, and changes nothing.
+    """Records how an episode began and its actions, and changes nothing.
 
-    Attributes that others set, as ``VecEnv.set_attr`` does, are those of the environment. If it was not ``just_reset``,
-    its first episode is the one that begins with the next ``reset``.
+    Attributes that others set, as ``VecEnv.set_attr`` does, are set on the environment. If it was not ``just_reset``,
+    its first recorded episode begins with the next ``reset``.
     """
 
     def __init__(self, env: gym.Env[Any, Any], *, just_reset: bool = False) -> None:
         super().__init__(env)
         self._note(None, UNKNOWN)
         seed = env.unwrapped._np_random_seed
-        if just_reset and isinstance(seed, int) and seed >= 0:  # if it was reset again since, that will be seen
+        if just_reset and isinstance(seed, int) and seed >= 0:  # another reset since then will be noticed
             self._note({"seed": seed}, None)
 
     def _note(self, began: State | None, why: str | None) -> None:
-        """Begin to note an episode."""
-        self._began = began  # arguments of reset, and the state of np_random before it where no seed was given
-        self._why = why  # it cannot be repeated
+        """Begin to record an episode."""
+        self._began = began  # arguments of reset, or the state of np_random before it if no seed was given
+        self._why = why  # reason why it cannot be repeated
         self._actions: deque[Any] = deque(maxlen=MAX_ACTIONS + 1)
         self._last: tuple[Any, ...] | None = None  # what reset or step returned
         self._rewards: Any = 0.0
 
     @property
     def spec(self) -> EnvSpec | None:  # type: ignore[override]  # a property in gym.Wrapper, too
-        """That of the environment: recording is no part of what ``gym.make`` makes again."""
+        """Spec of the environment: ``gym.make`` must not recreate the recording."""
         return self.env.spec
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -57,11 +57,11 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
             setattr(self.env, name, value)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset, and begin to note."""
+        """Reset the environment, and begin to record."""
         if options:
             self._note(None, "its reset was given options")
         elif seed is None:
-            _ = self.env.unwrapped.np_random  # one that is made in reset would draw its seed from the system
+            _ = self.env.unwrapped.np_random  # a generator made in reset would draw its seed from the system
             self._note({"before": random_states(self.env.unwrapped)["np_random"]}, None)
         else:
             self._note({"seed": int(seed)}, None)
@@ -70,7 +70,7 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """One step, which is noted."""
+        """Take one step, and record it."""
         self._actions.append(action.copy() if type(action) is np.ndarray else action)
         result = self.env.step(action)
         self._last = result[:4]
@@ -78,7 +78,7 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
     def get_state(self) -> State:
-        """For a checkpoint: the actions and seeds that repeat the episode, and its last observation."""
+        """Return, for a checkpoint, the actions and seeds that repeat the episode, and a digest of where it is."""
         too_long = f"it has more than {MAX_ACTIONS:,} actions" if len(self._actions) > MAX_ACTIONS else None
         why = self._why or too_long
         return {
@@ -91,12 +91,12 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
         }
 
     def set_state(self, state: State) -> None:
-        """Repeat the episode of `get_state`; `failure` says whether that has succeeded."""
+        """Repeat the episode of `get_state`; `failure` says whether that succeeded."""
         self._why = state["why"] or self._repeat(state)
         set_random_states(self.env.unwrapped, state["random"])
 
     def failure(self) -> str | None:
-        """Why the episode cannot go on where it was; None if it can."""
+        """Return why the episode cannot resume where it was, or None if it can."""
         return self._why
 
     def _repeat(self, state: State) -> str | None:
@@ -106,14 +106,14 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
             self.reset(**began)
             for action in actions.tolist() if state["numbers"] else actions:
                 self.step(action)
-        except Exception as error:  # whatever the environment raises: it did not raise it the first time
+        except Exception as error:  # any error: there was none the first time
             return f"repeating it raised {type(error).__name__}: {error}"
         drawn = random_states(self.env.unwrapped)["np_random"]
         same = state["then"] in (self._there(), "") and state["random"]["np_random"] == drawn
         return None if same else OTHERWISE
 
     def _there(self) -> str:
-        """A digest of where the episode is; empty where that is not known."""
+        """Return a digest of where the episode is, or an empty text if that is unknown."""
         if self._last is None:
             return ""
         sha256 = hashlib.sha256()
@@ -122,9 +122,9 @@ class RecordActions(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def random_states(env: Any) -> State:
-    """Of the generators of an environment and its spaces; None if one is missing or of another kind."""
+    """Return the generators' states of an environment and its spaces; None for a missing or unknown one."""
     spaces = {name: getattr(env, name)._np_random for name in ("action_space", "observation_space")}
-    generators = {"np_random": env._np_random, **spaces}  # to ask for np_random would make one
+    generators = {"np_random": env._np_random, **spaces}  # reading np_random would create one
     return {name: getattr(getattr(each, "bit_generator", None), "state", None) for name, each in generators.items()}
 
 
@@ -136,7 +136,7 @@ def set_random_states(env: Any, states: State) -> None:
 
 
 def _add(sha256: Any, value: Any) -> None:
-    """Add an observation, or anything else, with its types."""
+    """Add an observation, or anything else, with its types, to a digest."""
     sha256.update(type(value).__name__.encode())
     if isinstance(value, dict):
         for key, each in value.items():

@@ -1,4 +1,4 @@
-"""`SlotState`: the options as sent to an environment; `Traits`: properties that an environment reports."""
+"""`SlotState`: the options as sent to an environment. `Traits`: properties that an environment reports."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from sb3_options.options.option import Option
 
 @dataclass(frozen=True)
 class SlotState:
-    """Everything that an environment holds of options. ``env_method("set_slots", field=value)`` replaces fields.
+    """State of an environment's options. ``env_method("set_slots", field=value)`` replaces fields.
 
     Attributes:
-        options: By slot, what was put into it: an option, or None for an empty slot. Slots that are not named hold
-            what the environment was made with. `OptionsWrapper.set_slots` adds to this field.
-        learned_map: What the learned feature map is (`LearnedMap.arrays`).
+        options: Content by slot: an option, or None for an empty slot. Slots that are not named keep the option
+            that the environment was made with. `OptionsWrapper.set_slots` adds to this field.
+        learned_map: Content of the learned feature map (`LearnedMap.arrays`).
         record: Whether infos hold the primitive steps: the info that ends an episode as ``info["trajectory"]``.
-        max_segment: Primitive steps of the longest segment, where ``record`` cuts at peaks of reward: then
-            ``info["segments"]`` lists the segments that ended in the step. None records whole episodes.
+        max_segment: Primitive steps of the longest segment, where ``record`` cuts at peaks of reward.
+            ``info["segments"]`` then lists the segments that ended in the step. None records whole episodes.
         report_availability: Whether ``info["option"]["available"]`` says which slots may start in each observation
             arrived in.
-        expect_empty: Whether a callback knows which slots are empty: then to choose one is exploration, no mistake.
+        expect_empty: Whether a callback knows which slots are empty. Choosing one is then exploration, not a mistake.
         primitive_monitor: Whether a ``Monitor`` above the options counts primitive steps.
     """
 
@@ -46,21 +46,21 @@ class SlotState:
 
 
 class Traits(NamedTuple):
-    """What an environment with options is; ``get_attr("traits")``."""
+    """Properties of an environment with options: ``get_attr("traits")``."""
 
     n_primitive: int
     max_options: int
     gamma: float
     max_runs: int | None
-    masks_primitives: bool  # whether the environment says which of its own actions may be taken
-    observation_space: spaces.Space[Any]  # of what options act on; a wrapper above may have another
+    masks_primitives: bool  # whether the environment masks its own actions
+    observation_space: spaces.Space[Any]  # of the observations that options act on; a wrapper above may have another
     feature_kind: FeatureKind | None  # None without a feature map
     feature_groups: tuple[FeatureGroup, ...]
-    feature_size: int | None  # None without a feature map, or where only an observation tells
+    feature_size: int | None  # None without a feature map, or if only an observation reveals it
 
 
 def checked_primitives(whose: str, space: spaces.Space[Any], gamma: float, max_runs: int | None) -> int:
-    """The number of primitive actions, after checks of what options are executed with."""
+    """Return the number of primitive actions, after checking action space, γ and ``max_runs``."""
     if not isinstance(space, spaces.Discrete) or space.start != 0:
         raise TypeError(
             f"{whose} needs a Discrete action space that starts at 0, got {space}: discretise or number the actions "
@@ -76,7 +76,7 @@ def checked_primitives(whose: str, space: spaces.Space[Any], gamma: float, max_r
 def empty_bank(
     space: spaces.Space[Any], n_primitive: int, max_options: int, features: Features | None, observation_size: int
 ) -> OptionBank:
-    """Slots for options on observations of ``space``, which are flat rows of ``observation_size`` numbers."""
+    """Return empty slots for options on observations of ``space``, flat rows of ``observation_size`` numbers."""
     return OptionBank(
         n_primitive,
         max_options,
@@ -90,7 +90,7 @@ def empty_bank(
 def with_changes(
     state: SlotState, bank: OptionBank, features: Features | None, changes: Mapping[str, Any]
 ) -> SlotState:
-    """The state with some fields replaced, after ``bank`` and the learned map were changed with it."""
+    """Change ``bank`` and the learned map, and return the state with the changed fields."""
     options: Mapping[int, Option | None] = changes.get("options", {})
     later = dataclasses.replace(state, **changes)
     for slot, option in options.items():
@@ -100,6 +100,6 @@ def with_changes(
         elif slot in bank.filled:
             bank.remove(slot)
     if changes.get("learned_map") is not None:
-        assert features is not None  # whoever learns a map has seen that there is one
+        assert features is not None  # a map is learned only where there is one
         cast("LearnedMap", features.map).load(changes["learned_map"])
     return dataclasses.replace(later, options={**state.options, **options})

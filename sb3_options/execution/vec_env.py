@@ -1,4 +1,4 @@
-"""From observations as an algorithm sees them to observations as `OptionsWrapper` sees them."""
+"""Converts observations as an algorithm sees them into observations as `OptionsWrapper` sees them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from stable_baselines3.common.vec_env.stacked_observations import StackedObserva
 
 
 def as_wrapper_sees(venv: VecEnv, observations: Any, *, normalized: bool = False) -> Any:
-    """Undo what SB3's wrappers do to observations, from the outermost inwards.
+    """Undo the changes of SB3's wrappers to observations, from the outermost inwards.
 
     ``VecTransposeImage`` moves the channels of images to the front. ``VecFrameStack`` joins the last frames, of which
-    the newest is what the wrapper sees. With ``normalized`` what ``VecNormalize`` did is undone, too; what it clipped
-    stays clipped.
+    the wrapper sees the newest. With ``normalized`` the changes of ``VecNormalize`` are undone too, except clipping.
     """
     while isinstance(venv, VecEnvWrapper):
         if normalized and isinstance(venv, VecNormalize):

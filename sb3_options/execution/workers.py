@@ -11,14 +11,14 @@ from typing import Any, NoReturn
 import gymnasium as gym
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 
-LIBRARIES = ["gymnasium", "stable_baselines3", "torch"]  # what takes a process seconds to import
-PATIENCE = 1.0  # seconds that a process has to end by itself before it is killed
+LIBRARIES = ["gymnasium", "stable_baselines3", "torch"]  # these take a process seconds to import
+PATIENCE = 1.0  # seconds for a process to end by itself before it is killed
 
 
 class WorkerLostError(RuntimeError):
     """A worker process has ended unexpectedly; the others were ended too.
 
-    Where a signal ``killed`` it, the same training may succeed another time.
+    If a signal ``killed`` it, the same training may succeed another time.
     """
 
     def __init__(self, what: str, advice: str = "", *, killed: bool = False) -> None:
@@ -28,12 +28,12 @@ class WorkerLostError(RuntimeError):
 
 
 def watched_workers(env_fns: Sequence[Callable[[], gym.Env[Any, Any]]], **kwargs: Any) -> SubprocVecEnv:
-    """A ``SubprocVecEnv`` that is watched from its first moment; see `watch_workers`.
+    """Return a ``SubprocVecEnv`` that is watched from the start; see `watch_workers`.
 
-    Where Python's fork server makes the workers, it imports the libraries once for all of them.
+    If Python's fork server makes the workers, it imports the libraries once for all of them.
     """
     if "forkserver" in get_all_start_methods():
-        set_forkserver_preload(LIBRARIES)  # of a server that runs already it changes nothing
+        set_forkserver_preload(LIBRARIES)  # no effect on a server that runs already
     try:
         venv = SubprocVecEnv(list(env_fns), **kwargs)
     except (EOFError, ConnectionError) as error:
@@ -46,9 +46,9 @@ def watched_workers(env_fns: Sequence[Callable[[], gym.Env[Any, Any]]], **kwargs
 
 
 def watch_workers(venv: VecEnv) -> None:
-    """Raise a `WorkerLostError` when a worker process is lost, which says which one, why and what to do.
+    """Raise a `WorkerLostError` when a worker process is lost, saying which one, why and what to do.
 
-    Without it SB3 raises a bare ``EOFError`` or ``BrokenPipeError``, or waits for ever, where workers were forked and
+    Without it SB3 raises a bare ``EOFError`` or ``BrokenPipeError``. It even waits for ever if workers were forked and
     hold one another's pipes open. An environment without worker processes stays as it is.
     """
     inner = venv.unwrapped
@@ -67,7 +67,7 @@ class _WatchedPipe:
         self._venv = venv
         self._index = index
         process = venv.processes[index]
-        # A forked worker inherits the pipes of those that are forked after it, so that the loss of one closes nothing.
+        # Forked workers inherit one another's pipes, so the loss of one closes none of them.
         self._sentinel: int | None = process.sentinel if type(process).__name__ == "ForkProcess" else None
 
     def send(self, message: Any) -> None:
@@ -77,7 +77,7 @@ class _WatchedPipe:
             self._lost(error)
 
     def recv(self) -> Any:
-        # What it sent before it ended is still to be read.
+        # Messages that it sent before it ended must still be read.
         if self._sentinel is not None and not (
             self._remote in wait([self._remote, self._sentinel]) or self._remote.poll()
         ):
@@ -112,7 +112,7 @@ def _how_it_ended(exitcode: int | None) -> str:
 
 
 def end_workers(venv: VecEnv) -> None:
-    """Close an environment that may be within a step, where its own ``close`` would wait for ever."""
+    """Close an environment that may be within a step, when its own ``close`` would wait for ever."""
     inner = venv.unwrapped
     if not (isinstance(inner, SubprocVecEnv) and inner.processes):
         venv.close()

@@ -30,53 +30,53 @@ from sb3_options.options.option import Option
 logger = logging.getLogger("sb3_options")
 
 TERMINATION_SEED = 0x0971055
-"""Mixed into the seed of ``reset``: β draws from a stream apart from the environment's."""
+"""Mixed into the seed of ``reset``: β draws from another stream than the environment."""
 
 
 class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     """Adds ``max_options`` option slots to the actions of an environment with discrete actions.
 
-    ``step(a)`` runs a primitive once, or an option to its end, and returns the last observation, the discounted sum
-    Σ γⁱ rᵢ over the k primitive steps taken, the last flags and the last inner info, to which it adds what ran, as a
-    dict of the fields of `OptionRun`::
+    ``step(a)`` runs a primitive once, or an option to its end. It returns the last observation, the discounted sum Σ γⁱ
+    rᵢ over the k primitive steps taken, the last flags and the last inner info. To this info it adds a record of the
+    run, a dict of the fields of `OptionRun`::
 
         info["option"] = {"index": slot or -1, "duration": k, "discount": γᵏ, "gamma": γ, "termination": why it ended}
 
-    An option also leaves its primitive steps there, which Macro-Q learning needs.
+    An option's record also holds its primitive steps, which Macro-Q learning needs.
 
     An empty slot i runs primitive i mod n_primitive, and names it as ``actions``. An option that is chosen outside its
     initiation set runs one step of its own policy. So an algorithm that cannot mask still faces a semi-Markov decision
-    process; ``action_masks()`` gives the initiation sets to one that can. Without options it is the environment itself,
-    bit for bit.
+    process. ``action_masks()`` gives the initiation sets to an algorithm that can. Without options the wrapper behaves
+    as the environment itself, bit for bit.
 
-    Where the environment has an ``action_masks()`` of its own, what a slot runs keeps to it. An option ends where its
-    next primitive is masked, and may not start where its first one is. Chosen all the same it runs a legal primitive,
-    as an empty slot does: the first one from its number on.
+    If the environment has its own ``action_masks()``, slots respect it. An option ends if its next primitive is masked,
+    and may not start if its first one is. If it is chosen all the same, it runs a legal primitive, as an empty slot
+    does: the first one from its number on.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
         max_options: Number of slots, at least 0.
         gamma: Discount γ per primitive step, in (0, 1]; must equal the algorithm's.
-        feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's
-            own ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
-            ``Box``. A ``Dict`` space has no default. ``"temporal-distance"`` is learned by
-            `SubgoalDiscoveryCallback` while the model trains, from images too.
-        options_file: Start with the options of this file, which `OptionBank.save` wrote, or of this ``model.zip``.
-        max_runs: How often one option may run in an episode, at least 1, before its slot counts as empty until the
-            next one; None for any number. Without a limit an option whose subgoal is a dead end leads an untrained
-            agent there again and again. For algorithms that mask.
+        feature_map: φ from a batch of observations to concept space, shape (batch, d). By default the environment's own
+            ``concept_features``; else a one-hot code for ``Discrete`` observations and the flat observation for
+            ``Box``. A ``Dict`` space has no default. `SubgoalDiscoveryCallback` learns ``"temporal-distance"`` while
+            the model trains, also from images.
+        options_file: Start with the options of this file: one written by `OptionBank.save`, or a ``model.zip``.
+        max_runs: Maximum number of runs of one option in an episode, at least 1, after which its slot counts as empty
+            until the next episode; None for no limit. Without a limit an option whose subgoal is a dead end leads an
+            untrained agent there again and again. For algorithms that mask.
         check_finite: Whether to refuse observations and rewards that are NaN, infinite, or too large for single
-            precision, instead of learning from them.
+            precision.
 
     Raises:
-        TypeError: ``env`` is no ``gymnasium.Env``, its actions are not ``Discrete`` from 0 on, or ``feature_map``
+        TypeError: ``env`` is not a ``gymnasium.Env``, its actions are not ``Discrete`` from 0 on, or ``feature_map``
             cannot be called.
         ValueError: An argument is out of its range, or the file's options do not fit the environment.
         FileNotFoundError: There is no ``options_file``.
     """
 
     STATE = ("_observation", "_random", "_runs", "_warned")
-    """For a checkpoint, without the options, which whoever installed them puts back."""
+    """State for a checkpoint, without the options: whoever installed them restores them."""
 
     def __init__(
         self,
@@ -94,7 +94,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 f"{type(env).__name__} is no gymnasium.Env. Convert an environment of the old gym, for instance by "
                 "shimmy.GymV21CompatibilityV0(env=env)."
             )
-        # Not copied: a feature map may be a method of the environment, which would be copied with it.
+        # Not copied: a feature map may be a method of the environment, which would be copied too.
         RecordConstructorArgs.__init__(
             self,
             _disable_deepcopy=True,
@@ -131,7 +131,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
     @property
     def traits(self) -> Traits:
-        """What this wrapper is; with `bank`, all that others ask, also from another process."""
+        """Properties of this wrapper. With `bank` they hold all that others ask, also from another process."""
         features = self.features
         return Traits(
             self.n_primitive,
@@ -147,27 +147,27 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
     @property
     def above(self) -> tuple[str, ...]:
-        """Classes of the wrappers above this one that may change steps; `above.changing_steps` asks for them."""
+        """Classes of the wrappers above this one that may change steps, for `above.changing_steps`."""
         return names_of_changing(self.outermost, self)
 
     def set_slots(self, **changes: Any) -> None:
-        """Replace fields of this environment's `SlotState`; ``options`` are added to those that it names."""
+        """Replace fields of this environment's `SlotState`; new ``options`` are added to its present ones."""
         self.slot_state = with_changes(self.slot_state, self.bank, self.features, changes)
         for slot, option in changes.get("options", {}).items():
             if option is None:
-                self._runs[slot] = 0  # the next one begins to count anew; one that has grown does not
+                self._runs[slot] = 0  # the next option starts at 0; a relearned one keeps its count
         if "record" in changes:
             self._record()
         if self.slot_state.primitive_monitor:
             count_primitive_steps(self.outermost, self)
 
     def set_option(self, slot: int, option: Option | None) -> None:
-        """Fill a slot, or empty it with None; the same as ``set_slots(options={slot: option})``."""
+        """Fill a slot, or empty it with None, as ``set_slots(options={slot: option})`` does."""
         self.set_slots(options={slot: option})
 
     def _record(self) -> None:
         if self.slot_state.record and self._recording is None:
-            # Beneath a Monitor, which others expect right beneath this wrapper.
+            # Beneath a Monitor, which other code expects right beneath this wrapper.
             outer: gym.Wrapper[Any, Any, Any, Any] = self.env if isinstance(self.env, Monitor) else self
             self._recording = RecordTrajectories(outer.env)
             outer.env = self._recording
@@ -175,7 +175,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._recording.set(self.slot_state.record, self.slot_state.max_segment, self._observation)
 
     def random_trajectories(self, episodes: int, max_steps: int, seed: int) -> list[Trajectory]:
-        """Episodes of random primitive actions that the environment allows, truncated after ``max_steps``.
+        """Return episodes of random primitive actions that the environment allows, truncated after ``max_steps``.
 
         Reset the environment afterwards.
         """
@@ -196,18 +196,18 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return trajectories
 
     def concept_features(self, observations: Observations) -> FloatArray:
-        """φ of a batch of observations, shape (batch, d)."""
+        """Return φ of a batch of observations, shape (batch, d)."""
         return feature_maps.computed(self.features, observations, self.observation_space)
 
     def available(self, observations: Observations) -> BoolArray:
-        """Which augmented actions may start by initiation sets alone, shape (batch, n_primitive + max_options)."""
+        """Return which augmented actions may start by initiation sets alone, (batch, n_primitive + max_options)."""
         return self.bank.available(observations)
 
     def action_masks(self) -> BoolArray:
-        """Which augmented actions may start now, shape (n_primitive + max_options,).
+        """Return which augmented actions may start now, shape (n_primitive + max_options,).
 
-        An environment that masks its own actions goes on doing so. An option whose first primitive it masks, or that
-        has run ``max_runs`` times in this episode, may not start.
+        An environment's masks of its own actions still apply. An option may not start if its first primitive is masked,
+        or if it has run ``max_runs`` times in this episode.
         """
         if self.bank.max_options and not self.bank.filled:
             self._warn_once(
@@ -221,7 +221,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return np.concatenate([self._all_primitives if legal is None else legal, slots])
 
     def _legal(self) -> BoolArray | None:
-        """Which primitives the environment allows now, (n_primitive,); None where it masks none."""
+        """Return which primitives the environment allows now, (n_primitive,); None if it masks none."""
         if not self._has_masks:
             return None
         own = self.env.get_wrapper_attr("action_masks")
@@ -240,7 +240,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return primitive_of(cast("Option", self.bank[slot]), self._observation, self.n_primitive)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment; ``seed`` also seeds whether options with 0 < β < 1 end."""
+        """Reset the environment; ``seed`` also seeds the terminations of options with 0 < β < 1."""
         observation, info = self.env.reset(seed=seed, options=options)
         if self.check_finite:
             check_finite(self.env, observation)
@@ -248,16 +248,16 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             self._random = np.random.default_rng([seed, TERMINATION_SEED])
         self._observation = observation
         self._runs[:] = 0
-        self._running = None  # an error may have ended the last episode within an option
+        self._running = None  # an error may have ended the last episode inside an option
         if self.features is not None and self.bank.feature_size is None:
             self.bank.feature_size = feature_maps.checked_size(self.features.map, batch_of_one(observation))
         return observation, info
 
     def step(self, action: int) -> StepReturn:
-        """Run one primitive action once, or one option to its end, and return what the class describes.
+        """Run one primitive action once, or one option to its end; the class docstring describes the result.
 
         Raises:
-            ValueError: There is no such action, or ``check_finite`` refuses what the environment gave.
+            ValueError: There is no such action, or ``check_finite`` refuses an observation or a reward.
         """
         action = int(action)
         slot = action - self.n_primitive
@@ -283,18 +283,18 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return self._run_option(option, slot, observation)
 
     def _instead_of(self, slot: int) -> int:
-        """The first legal primitive from slot mod n_primitive on; that one where none is legal."""
+        """Return the first legal primitive from slot mod n_primitive on, or that one if none is legal."""
         candidates = (slot + np.arange(self.n_primitive)) % self.n_primitive
         legal = self._legal()
         return int(candidates[0 if legal is None else legal[candidates].argmax()])
 
     def running_option(self) -> str:
-        """What runs at this moment, for people: an option and its slot, or "primitive action"."""
+        """Return a description of the current action: an option and its slot, or "primitive action"."""
         option = None if self._running is None else self.bank[self._running]
         return "primitive action" if option is None else f"option {self._running}: {option.name}"
 
     def lost_step(self, observation: Any) -> dict[str, Any]:
-        """The info of a step whose outcome is lost with its environment: a primitive step, cut off where it began."""
+        """Return the info of a step that is lost with its environment: a primitive step, cut off where it began."""
         return {"option": {**self._primitive_run(observation), "termination": "truncated"}}
 
     def _primitive_run(self, led: Any) -> dict[str, Any]:
@@ -338,17 +338,17 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return result
 
     def _reported(self, result: StepReturn, option: dict[str, Any]) -> StepReturn:
-        """What the last primitive step returned, with all that ``info`` is to say."""
+        """Return the result of the last primitive step, with the additions to ``info``."""
         observation, reward, terminated, truncated, info = result
         refuse_own(info, "option")
-        info = dict(info)  # an environment may hand out one and the same dictionary every time
+        info = dict(info)  # an environment may reuse one dictionary
         info["option"] = option
         if self._recording is not None and self._recording.finished:
             info.update(self._recording.take())
         return observation, reward, terminated, truncated, info
 
     def _available_slots(self, arrived_in: Observations) -> BoolArray:
-        """Which slots may start in each observation; in the last, where the agent is, runs and masks count."""
+        """Return which slots may start in each observation; in the last, the present one, runs and masks count too."""
         available: BoolArray = self.bank.available_slots(arrived_in)
         self._forbid_now(available[-1])
         return available
@@ -364,13 +364,13 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             logger.warning(text)
 
     def on_layers(self, function: Callable[..., Any], *args: Any) -> tuple[Any, str | None]:
-        """What a function of this environment returns, in its own process, and the text of its error; see `layers`."""
+        """Call a function on this environment in its own process; return result and text of its error; see `layers`."""
         try:
             return function(self.outermost, *args), None
-        except ValueError as error:  # it would end the process
+        except ValueError as error:  # it would end the worker process
             return None, str(error)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper does.
+        # A copied or unpickled bank has no feature map (see `OptionBank.__getstate__`); this wrapper has one.
         self.__dict__.update(state)
         self.bank.bind(self.features.map if self.features else None)

@@ -21,15 +21,15 @@ FeatureMap: TypeAlias = Callable[[Observations], FloatArray]
 
 
 def batch_size(observations: Observations) -> int:
-    """Number of observations in a batch."""
-    # The common case first: to ask for a Mapping takes ten times as long.
+    """Return the number of observations in a batch."""
+    # The common case first: the check for a Mapping takes ten times as long.
     if isinstance(observations, np.ndarray) or not isinstance(observations, Mapping):
         return len(observations)
     return len(next(iter(observations.values())))
 
 
 def _of_each(function: Callable[[npt.NDArray[Any]], Any], observation: Any) -> Any:
-    """A function of an array, or of each array of a dictionary."""
+    """Apply a function to an array, or to each array of a dictionary."""
     if isinstance(observation, np.ndarray):
         return function(observation)
     if isinstance(observation, Mapping):
@@ -38,32 +38,32 @@ def _of_each(function: Callable[[npt.NDArray[Any]], Any], observation: Any) -> A
 
 
 def batch_of_one(observation: Any) -> Observations:
-    """One observation, as an environment returns it, → a batch of shape (1, ...)."""
+    """Make one observation, as an environment returns it, a batch of shape (1, ...)."""
     batch: Observations = _of_each(lambda array: array[None], observation)
     return batch
 
 
 def stack(observations: list[Any]) -> Observations:
-    """A list of single observations → one batch, in the same order."""
+    """Make a list of single observations one batch, in the same order."""
     if isinstance(observations[0], Mapping):
         return {key: np.stack([o[key] for o in observations]) for key in observations[0]}
     return np.array(observations)
 
 
 def take(observations: Observations, indices: IntArray | slice | int) -> Any:
-    """The observations at ``indices``, in that order, as a batch; at a single index one observation."""
+    """Return the observations at ``indices``, in that order, as a batch; at a single index one observation."""
     return _of_each(lambda array: array[indices], observations)
 
 
 def singles(observations: Observations) -> list[Any]:
-    """A batch → its single observations, the inverse of `stack`."""
+    """Return the single observations of a batch, the inverse of `stack`."""
     if isinstance(observations, Mapping):
         return [dict(zip(observations, row, strict=True)) for row in zip(*observations.values(), strict=True)]
     return list(observations)
 
 
 def concatenate(batches: Sequence[Observations]) -> Observations:
-    """Several batches → one, in order."""
+    """Join several batches in order."""
     first = batches[0]
     if isinstance(first, Mapping):
         return {key: np.concatenate([cast("Mapping[str, Any]", b)[key] for b in batches]) for key in first}
@@ -71,7 +71,7 @@ def concatenate(batches: Sequence[Observations]) -> Observations:
 
 
 def where(mask: BoolArray, one: Observations, other: Observations) -> Observations:
-    """The observations of one batch where a mask, (batch,), is true, and of another elsewhere."""
+    """Return the observations of one batch where a mask, (batch,), is true, and of another elsewhere."""
     if isinstance(one, Mapping):
         return {key: np.where(_along(mask, part), part, np.asarray(other[key])) for key, part in one.items()}
     return np.where(_along(mask, one), one, cast("npt.NDArray[Any]", other))
@@ -82,12 +82,12 @@ def _along(mask: BoolArray, array: npt.NDArray[Any]) -> BoolArray:
 
 
 def copy_of(observation: Any) -> Any:
-    """A copy of one observation: some environments write every observation into the same array."""
+    """Copy one observation: some environments write every observation into the same array."""
     return _of_each(np.array, observation)
 
 
 def key_of(observation: Any) -> bytes:
-    """A key that two observations of one space share exactly if they are equal, bit for bit."""
+    """Return a key that two observations of one space share exactly if they are equal, bit for bit."""
     if isinstance(observation, np.ndarray):
         return observation.tobytes()
     if isinstance(observation, Mapping):
@@ -96,8 +96,8 @@ def key_of(observation: Any) -> bytes:
 
 
 def flatten(observations: Observations) -> FloatArray:
-    """Every observation as one row of float64: shape (batch, total size), keys in sorted order."""
+    """Make every observation one row of float64: shape (batch, total size), keys in sorted order."""
     if isinstance(observations, Mapping):
         return np.concatenate([flatten(observations[key]) for key in sorted(observations)], axis=1)
-    # Not -1 for the size, which numpy cannot tell of an empty batch.
+    # Not -1 for the size: numpy cannot infer it for an empty batch.
     return np.asarray(observations, dtype=np.float64).reshape(len(observations), math.prod(observations.shape[1:]))

@@ -13,7 +13,7 @@ from sb3_options.experience.observations import BoolArray, FloatArray, IntArray,
 Termination: TypeAlias = Literal[
     "primitive", "subgoal", "left_initiation", "max_duration", "terminated", "truncated", "running"
 ]
-"""Why a run ended; "running": it has not, or it is not to be learned from (`OptionsVecEnv`)."""
+"""Why a run ended; "running": it has not ended, or must not be learned from (`OptionsVecEnv`)."""
 
 
 class OptionRun(NamedTuple):
@@ -23,18 +23,18 @@ class OptionRun(NamedTuple):
     `from_info` reads it.
 
     Attributes:
-        index: The slot whose option ran; -1 of a primitive.
+        index: Slot of the option that ran; -1 for a primitive.
         duration: Primitive steps k; 0 while an option of `OptionsVecEnv` goes on.
         discount: γᵏ.
         gamma: γ per primitive step.
-        termination: Why it ended.
-        observations: Of an option, the k observations in which it acted.
-        actions: Of an option, its primitive actions, (k,). Of a slot that ran a primitive instead, that one, (1,).
-        rewards: Of an option, the undiscounted rewards of its primitive steps, (k,).
-        available: Which slots may start in each of the k observations arrived in, (k, max_options); None unless
-            ``SlotState.report_availability`` asked for it and there are options.
-        inside: Of an option, whether it began in its initiation set; outside it is a single step.
-        chosen: The augmented action that the run began with, where the present one did not count (`OptionsVecEnv`).
+        termination: Why the run ended.
+        observations: For an option: the k observations in which it acted.
+        actions: For an option: its primitive actions, (k,). For a slot that ran a primitive instead: that one, (1,).
+        rewards: For an option: the undiscounted rewards of its primitive steps, (k,).
+        available: Which slots may start in each of the k observations arrived in, (k, max_options); None without
+            options, or without ``SlotState.report_availability``.
+        inside: For an option: whether it began in its initiation set; outside it is a single step.
+        chosen: The augmented action that the run began with, if the present one did not count (`OptionsVecEnv`).
     """
 
     index: int  # type: ignore[assignment]  # hides tuple.index, which nobody calls
@@ -50,18 +50,18 @@ class OptionRun(NamedTuple):
     chosen: int | None = None
 
     def as_info(self) -> RunInfo:
-        """The value of ``info["option"]``: a dict of the fields that are not None."""
+        """Return the value of ``info["option"]``: a dict of the fields that are not None."""
         return RunInfo((name, value) for name, value in zip(self._fields, self, strict=True) if value is not None)
 
     @classmethod
     def from_info(cls, info: Mapping[str, Any]) -> OptionRun:
-        """The record in an info of `OptionsWrapper`, or of an environment whose actions have durations of their own.
+        """Return the record in an info of `OptionsWrapper`, or of an environment whose actions have own durations.
 
         Such an environment leaves ``info["option"] = {"duration": k, "discount": gamma**k}`` at least.
 
         Raises:
-            ValueError: There is no such record, or it lacks duration or discount, or they are out of range. What
-                `OptionsWrapper` left is complete, and not checked again.
+            ValueError: There is no such record, or it lacks duration or discount, or they are out of range. The record
+                of `OptionsWrapper` is complete, and not checked again.
         """
         try:
             option = info["option"]
@@ -88,14 +88,14 @@ class OptionRun(NamedTuple):
 
 
 class RunInfo(dict[str, Any]):
-    """``info["option"]``. It is made anew in every step, so vectorised environments need not copy it."""
+    """Value of ``info["option"]``. It is new in every step, so vectorised environments need not copy it."""
 
     def __deepcopy__(self, memo: Any) -> RunInfo:
         return self
 
 
 def _completed(option: Any) -> OptionRun:
-    """The record of a user's own environment, of which only duration and discount are required."""
+    """Complete the record of a user's own environment, of which only duration and discount are required."""
     if option is None:
         raise ValueError(
             'There is no info["option"]: wrap the environment in OptionsWrapper, or, if its actions have durations of '
@@ -116,5 +116,5 @@ def _completed(option: Any) -> OptionRun:
 
 
 def _number(value: Any) -> Any:
-    """The number in an array of one."""
+    """Return the number in an array of length 1."""
     return value.item() if isinstance(value, np.ndarray) and value.size == 1 else value

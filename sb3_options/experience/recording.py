@@ -1,8 +1,8 @@
-"""Recording trajectories: whole episodes, or, in a task that goes on, segments between peaks of reward.
+"""Recording trajectories: whole episodes, or, in a continuing task, segments between peaks of reward.
 
 McGovern & Barto (2001) make bags of episodes. A task that never ends, or whose episodes are only cut off by time, has
-none. Its experience is segmented at peaks of reward (after Iba 1989): what lies between two peaks is a trajectory that
-succeeded.
+no such episodes. Its experience is segmented at peaks of reward (after Iba 1989): the steps between two peaks are a
+successful trajectory.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from sb3_options.experience.trajectories import Trajectory
 logger = logging.getLogger("sb3_options")
 
 LONGEST_EPISODE = 100_000
-"""Most primitive steps of an episode that are recorded, because one that never ends would fill the memory."""
+"""Most recorded primitive steps of an episode: an episode that never ends would fill the memory."""
 
 
 class TrajectoryRecorder:
-    """Builds a `Trajectory` of each episode while it runs, in constant time a step.
+    """Builds a `Trajectory` of each episode while it runs, in constant time per step.
 
     An episode of more than `LONGEST_EPISODE` steps is dropped with a warning.
 
     Attributes:
-        finished: What is complete, oldest first; whoever takes it clears it.
+        finished: Complete trajectories, oldest first; whoever takes them clears the list.
     """
 
     def __init__(self) -> None:
@@ -40,11 +40,11 @@ class TrajectoryRecorder:
         self._gave_up = False
 
     def __len__(self) -> int:
-        """Primitive steps recorded of the trajectory under way."""
+        """Primitive steps recorded of the unfinished trajectory."""
         return len(self._actions)
 
     def begin(self, observation: Any) -> None:
-        """Forget what was recorded, and start an episode in ``observation``."""
+        """Forget the recording, and start an episode in ``observation``."""
         self.finished.clear()
         self._start(observation)
         self._gave_up = False
@@ -83,7 +83,7 @@ class TrajectoryRecorder:
         self._forget()
 
     def report(self) -> dict[str, Any]:
-        """What ``info`` says of what is finished."""
+        """Return the finished trajectory as an entry of ``info``."""
         return {"trajectory": self.finished[-1]}
 
     def _forget(self) -> None:
@@ -94,7 +94,7 @@ class TrajectoryRecorder:
         self._rewards: list[float] = []
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: the trajectory under way. What is finished was taken when its step ended."""
+        """Return the unfinished trajectory, for a checkpoint. Finished ones were taken when their step ended."""
         return {
             "states": obs_batch.stack(self._states) if self._states else None,
             "visits": np.array(self._visits, dtype=np.int64),
@@ -104,7 +104,7 @@ class TrajectoryRecorder:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
+        """Restore the state from `get_state`."""
         self.finished.clear()
         self._forget()
         states = state["states"]
@@ -127,14 +127,14 @@ class TrajectoryRecorder:
 
 
 class SegmentRecorder(TrajectoryRecorder):
-    """Builds a `Trajectory` from each peak of reward to the next, in constant time a step.
+    """Builds a `Trajectory` from each peak of reward to the next, in constant time per step.
 
-    A segment that ends with a peak succeeded. One that became too long, or ended in a terminal state without a peak,
-    failed. The segment under way when an episode is truncated is dropped: it might have led to a peak.
+    A segment that ends with a peak succeeded. A segment that became too long, or ended in a terminal state without a
+    peak, failed. If an episode is truncated, its unfinished segment is dropped: it might have led to a peak.
 
     Step t is a peak if r_t > 0 and r_{t−1} < r_t ≥ r_{t+1}, with r = −∞ before an episode and after it. So a reward
-    that rises over several steps has one peak, at its maximum, and one that stays high has one peak, at its first step.
-    A segment is finished one step after its last, because only then the reward is known not to rise further.
+    that rises over several steps has one peak, at its maximum. A reward that stays high has one peak, at its first
+    step. A segment is finished one step after its last, because only then the reward is known not to rise further.
 
     Args:
         max_segment: A segment of this many primitive steps without a peak is cut, and failed: no more are held in
@@ -148,13 +148,13 @@ class SegmentRecorder(TrajectoryRecorder):
         self._may_be_peak = False
 
     def begin(self, observation: Any) -> None:
-        """Forget what was recorded, and start an episode in ``observation``."""
+        """Forget the recording, and start an episode in ``observation``."""
         super().begin(observation)
         self._before = -math.inf
         self._may_be_peak = False
 
     def record(self, action: int, reward: float, observation: Any) -> None:
-        """Add one primitive step that led to ``observation``; the one before may turn out to have been a peak."""
+        """Add one primitive step that led to ``observation``; the step before may turn out to be a peak."""
         if self._may_be_peak:
             if not reward > self._before:
                 self._cut(success=True)
@@ -167,20 +167,20 @@ class SegmentRecorder(TrajectoryRecorder):
             self._cut(success=False)
 
     def end(self, *, terminated: bool, truncated: bool, is_success: bool | None) -> None:
-        """End the episode, and with it the last segment; what the environment calls success is of no account."""
+        """End the episode and its last segment; the environment's own success does not count."""
         if len(self) and (self._may_be_peak or terminated):
             super().end(terminated=terminated, truncated=truncated, is_success=self._may_be_peak)
 
     def report(self) -> dict[str, Any]:
-        """What ``info`` says of what is finished."""
+        """Return the finished segments as an entry of ``info``."""
         return {"segments": list(self.finished)}
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Return the state for a checkpoint."""
         return {**super().get_state(), "before": self._before, "may_be_peak": self._may_be_peak}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with what `get_state` gave."""
+        """Restore the state from `get_state`."""
         super().set_state(state)
         self._before = state["before"]
         self._may_be_peak = state["may_be_peak"]
@@ -203,19 +203,19 @@ def logged_trajectory(
     terminated: bool,
     is_success: bool | None = None,
 ) -> Trajectory:
-    """A trajectory of an episode that a log or a data set holds, such as one of Minari's.
+    """Make a trajectory of an episode in a log or a data set, such as Minari's.
 
     Args:
-        observations: T + 1 observations as the environment returns them, those of a dictionary space as one dictionary
-            of arrays.
+        observations: T + 1 observations as the environment returns them; for a dictionary space one dictionary of
+            arrays.
         actions: T primitive actions, whole numbers.
         rewards: T undiscounted rewards.
         terminated: Whether the episode ended in a terminal state. Otherwise it was truncated.
-        is_success: Whether it succeeded; by default the rule of ``SubgoalDiscoveryCallback(success=…)`` says.
+        is_success: Whether it succeeded; by default the rule of ``SubgoalDiscoveryCallback(success=…)`` decides.
 
     Raises:
         ValueError: The lengths do not fit, or T is 0 or above `LONGEST_EPISODE`.
-        TypeError: An action is no whole number.
+        TypeError: An action is not a whole number.
     """
     batch: Any = observations if isinstance(observations, Mapping) else np.asarray(observations)
     n_actions, n_rewards, n_observations = len(actions), len(rewards), obs_batch.batch_size(batch)

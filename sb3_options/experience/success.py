@@ -1,4 +1,4 @@
-"""Which trajectories succeeded."""
+"""Rules for which trajectories succeeded."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from sb3_options.checked import is_number
 from sb3_options.experience.trajectories import Trajectory
 
 SuccessRule: TypeAlias = Callable[[Trajectory], bool]
-"""Whether a trajectory succeeded, so that its bag is positive."""
+"""Function that says whether a trajectory succeeded, so its bag is positive."""
 
 
 def success_in(info: Mapping[str, Any]) -> bool | None:
-    """What ``is_success`` of the info that ends an episode says: a truth value, or 0 or 1 of any type; None without.
+    """Return ``is_success`` of the info that ends an episode: True or False, or 0 or 1 of any type; None without it.
 
-    Anything else is refused, because it might count as success by being something: NaN, "no".
+    Other values, such as NaN or "no", are refused: Python might count them as true.
     """
     said = info.get("is_success")
     if said is None:
@@ -34,10 +34,10 @@ def success_in(info: Mapping[str, Any]) -> bool | None:
 
 
 def reported_success(trajectory: Trajectory) -> bool:
-    """What the environment says in ``info["is_success"]``.
+    """Return the environment's ``info["is_success"]``.
 
-    For one that does not say: whether it ended in a terminal state with a positive reward that exceeds all earlier
-    ones, the reward peak of Iba (1989) that McGovern & Barto (2001, §2) take over.
+    Without it, success is a terminal state with a positive reward that exceeds all earlier ones. This is the reward
+    peak of Iba (1989), which McGovern & Barto (2001, §2) adopt.
     """
     if trajectory.is_success is not None:
         return trajectory.is_success
@@ -48,7 +48,7 @@ def reported_success(trajectory: Trajectory) -> bool:
 
 
 def judged(rule: SuccessRule, trajectory: Trajectory) -> bool:
-    """What a rule says of a trajectory; no truth value is refused, which might count as success by being something."""
+    """Return a rule's verdict on a trajectory; refuse values other than truth values, which might count as true."""
     said: object = rule(trajectory)
     if not (said is None or isinstance(said, (bool, np.bool_)) or is_number(said)):
         raise TypeError(f"success must return True or False, got {said!r}.")
@@ -56,21 +56,21 @@ def judged(rule: SuccessRule, trajectory: Trajectory) -> bool:
 
 
 def success_by_return(threshold: float) -> SuccessRule:
-    """Success is an undiscounted return of at least ``threshold``; one that is infinite is an error, and no success."""
+    """Define success as an undiscounted return of at least ``threshold``; an infinite return is an error."""
     if math.isnan(threshold):
         raise ValueError("threshold must be a number, got nan.")
     return lambda trajectory: threshold <= float(trajectory.rewards.sum()) < math.inf
 
 
 def success_by_steps(limit: int) -> SuccessRule:
-    """Success is reported success within ``limit`` primitive steps (McGovern & Barto 2001, §4)."""
+    """Define success as reported success within ``limit`` primitive steps (McGovern & Barto 2001, §4)."""
     if limit < 1:
         raise ValueError(f"limit must be at least 1 primitive step, got {limit}.")
     return lambda trajectory: reported_success(trajectory) and len(trajectory) <= limit
 
 
 def success_rule(given: SuccessRule | str) -> SuccessRule:
-    """A rule of success, or the one that a text names, as in a YAML file or on a command line.
+    """Return a rule of success, or the rule that a text names, as in a YAML file or on a command line.
 
     Args:
         given: A function; or "reported" (`reported_success`), "terminated" (every terminal state is a success),
@@ -105,13 +105,13 @@ def tell_success(
     *,
     reported: bool = False,
 ) -> None:
-    """Put success by a rule into the info that ends an episode, where Stable-Baselines3 logs it from.
+    """Put a rule's verdict into the info that ends an episode, from which Stable-Baselines3 logs success.
 
-    The environment may report another success than the rule, or report it in those episodes alone that succeed. Where
-    it never reports any, and the rule is to go by that, there is none to log.
+    The environment may report another success than the rule, or report it only in successful episodes. If the
+    environment never reports any, and the rule relies on its reports, there is no success to log.
 
-    ``logged`` are the successes that Stable-Baselines3 takes the mean of, and gets those ``before`` the first that was
-    reported. ``reported`` says whether the environment has reported success elsewhere.
+    ``logged`` are the successes that Stable-Baselines3 averages. Before the first reported one, it gets those
+    ``before``. ``reported`` says whether the environment has reported success elsewhere.
     """
     if logged is None or (rule is reported_success and trajectory.is_success is None and not (logged or reported)):
         return
@@ -121,7 +121,10 @@ def tell_success(
 
 
 def learned_at(reached: Sequence[bool] | npt.NDArray[np.bool_]) -> int | None:
-    """When a task counts as learned: index of the first of two evaluations in a row that reach the goal, or None."""
+    """Return when a task counts as learned: the index of the first of two evaluations in a row that reach the goal.
+
+    Return None if there are no two.
+    """
     entries = np.asarray(reached, dtype=bool)
     first = np.flatnonzero(entries[:-1] & entries[1:])
     return int(first[0]) if len(first) else None

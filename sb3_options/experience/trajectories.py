@@ -23,8 +23,8 @@ logger = logging.getLogger("sb3_options")
 class Trajectory:
     """One episode, or one segment of it, in primitive steps, each distinct observation stored once.
 
-    A random walk revisits few states often, so a long episode stays small. The order of ``states`` is the order of
-    first visits, of which a bag is made.
+    A random walk revisits few states often, so a long episode stays small. ``states`` are in the order of first visits;
+    a bag is made of them.
 
     Attributes:
         states: The distinct observations, in order of first visit; batch of m.
@@ -33,7 +33,7 @@ class Trajectory:
         rewards: Undiscounted rewards, shape (T,).
         terminated: Whether it ended in a terminal state.
         truncated: Whether the episode was cut off from outside.
-        is_success: ``info["is_success"]`` of the last step; None where the environment does not say. Of a segment:
+        is_success: ``info["is_success"]`` of the last step; None if the environment does not report it. For a segment:
             whether it ended with a peak of reward (`SegmentRecorder`).
     """
 
@@ -51,12 +51,12 @@ class Trajectory:
 
     @cached_property
     def arrivals(self) -> IntArray:
-        """When the agent first came to each of the ``states``, (m,)."""
+        """Times when the agent first came to each of the ``states``, (m,)."""
         return np.unique(self.visits, return_index=True)[1]
 
     @property
     def n_bytes(self) -> int:
-        """What its arrays take."""
+        """Memory of its arrays, in bytes."""
         states = [self.states] if isinstance(self.states, np.ndarray) else self.states.values()
         own = sum([array.nbytes for array in states])
         return own + self.visits.nbytes + self.actions.nbytes + self.rewards.nbytes
@@ -68,9 +68,9 @@ class EpisodeRecord(NamedTuple):
 
     Attributes:
         timestep: Primitive steps taken, of all environments, when it ended.
-        total_reward: Undiscounted.
-        success: As the callback's rule has it.
-        steps: Its length.
+        total_reward: Undiscounted sum of rewards.
+        success: Success by the callback's rule.
+        steps: Length.
     """
 
     timestep: int
@@ -88,7 +88,7 @@ class LabelledTrajectory:
         trajectory: The episode.
         features: φ of ``trajectory.states``, shape (m, d).
         success: Whether its bag is positive.
-        whole: What it is a part of, if it is one; its arrays are views of that one's.
+        whole: The trajectory that it is a part of, if any; its arrays are views of that one's.
     """
 
     trajectory: Trajectory
@@ -98,7 +98,7 @@ class LabelledTrajectory:
 
     @cached_property
     def n_bytes(self) -> int:
-        """What its arrays take, or those that they are views of."""
+        """Memory of its arrays, or of the arrays that they are views of, in bytes."""
         return self.trajectory.n_bytes + self.features.nbytes if self.whole is None else self.whole.n_bytes
 
 
@@ -106,11 +106,11 @@ class TrajectoryDatabase:
     """The last ``capacity`` trajectories, oldest first (McGovern & Barto 2001, Table 1).
 
     Args:
-        capacity: How many trajectories are kept, at least 1.
-        max_bytes: How much memory their arrays may take; the last trajectory is kept whatever it takes.
+        capacity: Number of trajectories to keep, at least 1.
+        max_bytes: Memory limit of their arrays; the last trajectory is always kept.
 
     Attributes:
-        n_successful: How many successful ones there are.
+        n_successful: Number of successful trajectories.
     """
 
     STATE: ClassVar[tuple[str, ...]] = ("_trajectories",)
@@ -125,11 +125,11 @@ class TrajectoryDatabase:
         self._warned = False
 
     def kind(self, trajectory: LabelledTrajectory) -> bool:
-        """Each kind has a capacity of its own; here all trajectories are of one kind."""
+        """Return the kind of a trajectory: each has its own capacity. Here all are of one kind."""
         return False
 
     def add(self, trajectory: LabelledTrajectory) -> None:
-        """Append, dropping the oldest ones of its kind when these are too many, or too large."""
+        """Append a trajectory; drop the oldest ones of its kind if there are too many, or if they are too large."""
         self._append(trajectory)
 
     def _append(self, trajectory: LabelledTrajectory) -> None:
@@ -157,7 +157,7 @@ class TrajectoryDatabase:
         self.n_successful += n * trajectory.success
 
     def _replace(self, trajectories: Iterable[LabelledTrajectory]) -> None:
-        """Hold these instead."""
+        """Hold these trajectories instead."""
         every = list(trajectories)
         self._trajectories = []
         self._n.clear()
@@ -167,12 +167,12 @@ class TrajectoryDatabase:
             self._append(each)
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on with the state, and count what it holds."""
+        """Restore the state, and count its trajectories."""
         restore(self, state)
         self._replace(self._trajectories)
 
     def embed_again(self, feature_map: FeatureMap) -> None:
-        """Give every trajectory the features of another φ; what held the old ones holds them still."""
+        """Give every trajectory the features of another φ, in new objects: others may hold the old ones."""
         self._replace(
             LabelledTrajectory(old.trajectory, feature_map(old.trajectory.states), old.success)
             for old in self._trajectories

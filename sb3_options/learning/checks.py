@@ -1,4 +1,4 @@
-"""What learning over options needs of an environment and a model."""
+"""Checks of an environment and a model before learning over options."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def check_wrapped(venv: VecEnv, whose: str) -> None:
 
 
 def check_gamma(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Refuse wrappers that discount otherwise than the algorithm."""
+    """Refuse wrappers whose discount differs from the algorithm's."""
     gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm over discrete actions has it
     different = [g for g in (each.gamma for each in venv.get_attr("traits")) if abs(g - gamma) > 1e-12]
     if different:

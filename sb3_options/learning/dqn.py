@@ -1,4 +1,4 @@
-"""`OptionDQN`: DQN that respects initiation sets wherever an action is chosen or maximised over."""
+"""`OptionDQN`: DQN that respects initiation sets wherever it chooses an action or takes a maximum."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ FASTER_WITH_OPTIONS = 4
 class OptionDQN(MaskedPrediction, DQN):
     """DQN whose greedy, ε-random and warm-up actions and bootstrap targets are limited to the available options.
 
-    Stock DQN takes every slot for an action, and its target is a maximum over all of them. Here an option is available
+    Stock DQN treats every slot as an action, and its target is a maximum over all of them. Here an option is available
     only in its initiation set, and an empty slot never.
 
-    ``gradient_steps`` and ``target_update_interval`` keep their pace per primitive step: an option that took k steps is
-    followed by k times the updates. From the first available option on, ε falls `FASTER_WITH_OPTIONS` times as fast,
-    because options explore, too.
+    ``gradient_steps`` and ``target_update_interval`` keep their pace per primitive step: k times the updates follow an
+    option of k steps. From the first available option on, ε falls `FASTER_WITH_OPTIONS` times as fast, because options
+    explore, too.
 
     Args:
         policy: As for ``DQN``.
-        env: Wrapped in `OptionsWrapper`.
+        env: Environment in an `OptionsWrapper`.
         replay_buffer_class: `OptionReplayBuffer` or a subclass.
         n_steps: Decisions of an n-step return.
         **kwargs: As for ``DQN``.
 
     Raises:
-        ValueError: The environment is not wrapped, or the buffer is another.
+        ValueError: The environment is not wrapped, or the buffer is of another class.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class OptionDQN(MaskedPrediction, DQN):
         super().__init__(policy, env, replay_buffer_class=replay_buffer_class, **kwargs)  # type: ignore[arg-type]  # SB3 passes None when loading
         self._untrained_steps = 0
         self._untrained_decisions = 0
-        self._owed = 0.0  # gradient steps, where environments wait
+        self._owed = 0.0  # gradient steps still due, if environments wait
         self._waits = False
         self._options_since = math.inf  # primitive steps in `_n_calls` at the first available option
 
@@ -73,7 +73,7 @@ class OptionDQN(MaskedPrediction, DQN):
             self._track_availability(self.env)
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
-        """Set the environment to learn in; it must be wrapped in `OptionsWrapper` as well."""
+        """Set the environment to learn in; it must be wrapped in `OptionsWrapper`, too."""
         super().set_env(env, force_reset)
         self._track_availability(cast("VecEnv", self.env))
 
@@ -86,16 +86,16 @@ class OptionDQN(MaskedPrediction, DQN):
         result = super()._setup_learn(*args, **kwargs)
         assert self.env is not None  # it has just been reset
         self._steps_seen = self.num_timesteps
-        if self.num_timesteps == 0:  # the schedule of ε begins anew
+        if self.num_timesteps == 0:  # the schedule of ε starts again
             self._options_since = math.inf
         check_gamma(self, self.env)
         self.env.env_method("set_slots", report_availability=True)
         buffer = self._option_buffer()
         n_primitive = n_actions_of(self) - self._n_slots
-        put_back(self, self.env)  # before a slot is taken for empty
+        put_back(self, self.env)  # before a slot counts as empty
         for slot in set(range(self._n_slots)) - set(self.env.get_attr("bank", [0])[0].filled):
             forget_empty(self, slot, n_primitive)
-        if not buffer.tracks_availability:  # it was loaded, and another algorithm had filled it
+        if not buffer.tracks_availability:  # it was loaded after another algorithm had filled it
             buffer.track_availability(self._n_slots)
             if buffer.size():
                 available = stored_availability(buffer, self.env)
@@ -152,15 +152,15 @@ class OptionDQN(MaskedPrediction, DQN):
         return actions, actions
 
     def _explore(self, mask: BoolArray) -> int:
-        """One random action among those available, (n_actions,)."""
+        """Draw a random action among those available, (n_actions,)."""
         if isinstance(self.action_space, CappedActions):
             return self.action_space.choose(mask)
         return int(self.action_space.np_random.choice(np.flatnonzero(mask)))
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
-        """DQN's update with the maximum taken over available actions, as often for a primitive step as DQN makes it."""
+        """Update as DQN does per primitive step, with the maximum over available actions."""
         if self._untrained_decisions:
-            # Where environments wait for options to end, fewer steps than decisions are counted until one has.
+            # While environments wait for options to end, fewer steps than decisions are counted.
             self._waits = self._waits or self._untrained_steps < self._untrained_decisions
             due = gradient_steps * self._untrained_steps / self._untrained_decisions + self._owed
             gradient_steps = round(due)
@@ -189,11 +189,11 @@ class OptionDQN(MaskedPrediction, DQN):
 
 
 def smdp_target(next_values: torch.Tensor, samples: OptionReplayBufferSamples) -> torch.Tensor:
-    """R + γᵏ max over available a' of Q(s', a') (Sutton, Precup & Singh 1999, §3).
+    """Return R + γᵏ max over available a' of Q(s', a') (Sutton, Precup & Singh 1999, §3).
 
     Args:
         next_values: Q(s', ·), (batch, n_actions).
-        samples: The transitions; ``next_available`` speaks of the last actions, primitives are always available.
+        samples: The transitions; ``next_available`` covers the last actions, primitives are always available.
 
     Returns:
         Targets, (batch, 1).

@@ -1,4 +1,4 @@
-"""`expand_action_space`: option slots for a model that was trained without them."""
+"""`expand_action_space`: adds option slots to a model that was trained without them."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def expand_action_space(
 ) -> Model:
     """Add option slots to a trained model, in place, and keep everything that it has learned.
 
-    Weights, target network, optimizer moments, counters and schedules are kept. The outputs for the old actions are
-    what they were, but for the rounding of a product with more rows, also after options were installed. The new heads
-    are closed. The model's environments are wrapped in `OptionsWrapper` (a ``Monitor`` stays beneath it) and reset when
-    training goes on. An empty `OptionReplayBuffer` takes the place of a stock replay buffer.
+    Weights, target network, optimizer moments, counters and schedules are kept. The outputs for the old actions stay
+    the same, except for the rounding of a product with more rows, also after options were installed. The new heads are
+    closed. The model's environments are wrapped in `OptionsWrapper` (a ``Monitor`` stays beneath it) and reset when
+    training goes on. An empty `OptionReplayBuffer` replaces a stock replay buffer.
 
     Continue with ``model.learn(..., callback=SubgoalDiscoveryCallback(), reset_num_timesteps=False)``. An evaluation
     environment must be wrapped by hand, with as many slots.
@@ -35,17 +35,17 @@ def expand_action_space(
     Args:
         model: DQN, QRDQN, PPO, A2C, TRPO, MaskablePPO or RecurrentPPO, trained on an environment without options.
         max_options: Number of slots, at least 1.
-        env: Takes the place of the model's environment; wrapped in `OptionsWrapper`, with ``max_options`` slots, the
-            model's γ, and ``max_runs`` if there is to be one. Needed where the model has none, or where its
-            environments live in other processes.
-        feature_map: For the wrapper, as `OptionsWrapper` takes it; not together with ``env``.
+        env: Replaces the model's environment; wrapped in `OptionsWrapper`, with ``max_options`` slots, the model's γ
+            and, if wanted, ``max_runs``. Needed if the model has no environment, or if its environments live in other
+            processes.
+        feature_map: Feature map for `OptionsWrapper`; not together with ``env``.
 
     Returns:
         The same model.
 
     Raises:
-        TypeError: Actions are not discrete, or the policy is none that is known.
-        ValueError: The model has slots already, or ``env`` is missing or does not fit. Nothing has been changed then.
+        TypeError: Actions are not discrete, or the policy is of an unknown kind.
+        ValueError: The model has slots already, or ``env`` is missing or does not fit. Then nothing has been changed.
     """
     family = family_of(model)
     actions = model.action_space
@@ -59,7 +59,7 @@ def expand_action_space(
         )
     family.check_heads()
     venv = _fitting(model, env, n_primitive, max_options, feature_map)
-    # With the same generator, so that exploration continues.
+    # The same generator lets exploration continue.
     family.widen(spaces.Discrete(n_primitive + max_options, seed=actions.np_random))
     model.set_env(venv)
     return model
@@ -72,7 +72,7 @@ def _fitting(
     max_options: int,
     feature_map: FeatureMap | MapName | None,
 ) -> VecEnv:
-    """The environment the model goes on with, checked."""
+    """Return the environment for further training, checked."""
     gamma: float = model.gamma  # type: ignore[attr-defined]  # every algorithm whose heads are known has it
     if env is None:
         if model.env is None:
@@ -99,7 +99,7 @@ def _fitting(
 
 
 def _wrap(venv: VecEnv, max_options: int, gamma: float, feature_map: FeatureMap | MapName | None) -> VecEnv:
-    """Put `OptionsWrapper` around each environment of a ``DummyVecEnv``, whatever stands above it."""
+    """Put `OptionsWrapper` around each environment of a ``DummyVecEnv``, beneath any wrappers of the latter."""
     inner = venv.unwrapped
     if not isinstance(inner, DummyVecEnv):
         raise ValueError(

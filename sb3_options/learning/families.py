@@ -1,6 +1,6 @@
 """Families of algorithms: where an algorithm keeps its heads, masks and buffers, and what follows for options.
 
-`family_of` gives the adapter of a model. Nothing else in the library asks which algorithm a model is of.
+`family_of` returns the adapter of a model. No other module checks which algorithm a model belongs to.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from sb3_options.learning.replay_buffer import OptionReplayBuffer
 logger = logging.getLogger("sb3_options")
 
 STOCK_BUFFERS = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)
-"""Replay buffers of SB3 that an `OptionReplayBuffer` may replace as long as they are empty."""
+"""Replay buffers of SB3 that an `OptionReplayBuffer` may replace while they are empty."""
 
 KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
-"""What a stock replay buffer was made with that `OptionReplayBuffer` takes too."""
+"""Arguments of a stock replay buffer that `OptionReplayBuffer` takes too."""
 
 
 class Family:
@@ -38,28 +38,28 @@ class Family:
 
     has_rollouts: ClassVar[bool] = False  # whether it learns from rollouts, and so from probabilities of actions
     waits_for_rollout: ClassVar[bool] = False  # whether options are installed between rollouts only
-    step_seconds: ClassVar[float] = STEP_SECONDS  # of training, for a primitive step, nominal
+    step_seconds: ClassVar[float] = STEP_SECONDS  # nominal training time per primitive step
 
     def __init__(self, model: Any) -> None:
         self.model = model
 
     @property
     def replay_buffer(self) -> OptionReplayBuffer | None:
-        """The replay buffer, if it is one over options."""
+        """The replay buffer, if it supports options."""
         return None
 
     def prepare_buffer(self) -> None:
-        """Put an `OptionReplayBuffer` in the place of SB3's empty one; refuse other buffers that discount with γ."""
+        """Replace SB3's empty replay buffer with an `OptionReplayBuffer`; refuse other buffers that discount with γ."""
 
     def check(self, venv: VecEnv) -> None:
-        """Refuse networks, buffers and wrappers that options would spoil, with what to change."""
+        """Refuse networks, buffers and wrappers that options would spoil, and say what to change."""
 
     def has_learned(self) -> bool:
-        """Whether an update was made."""
+        """Return whether an update was made."""
         return getattr(self.model, "_n_updates", 0) > 0
 
     def forget(self, action: int) -> bool:
-        """Forget the values of an action whose slot was emptied; whether there were any."""
+        """Forget the values of an action whose slot was emptied; return whether there were any."""
         return False
 
 
@@ -77,7 +77,7 @@ class Table(Family):
             )
 
     def has_learned(self) -> bool:
-        """A table begins with zeros."""
+        """Return True: a table begins with zeros."""
         return True
 
     def forget(self, action: int) -> bool:
@@ -96,7 +96,7 @@ class Networks(Family, ABC):
         self.check_heads()
 
     def check_heads(self) -> None:
-        """Refuse heads that are not found, or, once the environment was reset, that others depend on."""
+        """Refuse unknown heads and, once the environment was reset, heads on which other outputs depend."""
         heads.option_outputs(self.model.policy)
         last_obs = self.model._last_obs
         if last_obs is None:
@@ -111,10 +111,10 @@ class Networks(Family, ABC):
 
     @abstractmethod
     def outputs(self, batch: Any) -> torch.Tensor:
-        """Values of actions, or logits but for a common constant, (…, n_actions)."""
+        """Return values of actions, or logits up to a common constant, (…, n_actions)."""
 
     def is_untrained(self, n_primitive: int) -> bool:
-        """Whether option slots have their random initial weights: nothing was learned, loaded or closed."""
+        """Return whether option slots have random initial weights: nothing was learned, loaded or closed."""
         policy = self.model.policy
         if self.has_learned() or policy.optimizer.state:
             return False
@@ -148,12 +148,12 @@ class ValueBased(Networks):
 
     @property
     def replay_buffer(self) -> OptionReplayBuffer | None:
-        """Where γᵏ and the steps inside options are stored."""
+        """The buffer of γᵏ and the steps inside options."""
         buffer = self.model.replay_buffer
         return buffer if isinstance(buffer, OptionReplayBuffer) else None
 
     def prepare_buffer(self) -> None:
-        """Also refuse one that was not told of the model's ``n_steps``."""
+        """Also refuse a buffer that does not know the model's ``n_steps``."""
         buffer = self.model.replay_buffer
         name = type(self.model).__name__
         if buffer is None:
@@ -169,7 +169,7 @@ class ValueBased(Networks):
             )
 
     def check_heads(self) -> None:
-        """Also refuse a replay buffer of a user's own class, which has no place for the steps inside options."""
+        """Also refuse a replay buffer of a user's own class, which cannot store the steps inside options."""
         super().check_heads()
         self._check_stock()
 
@@ -185,7 +185,7 @@ class ValueBased(Networks):
                 f"pass {name}(..., replay_buffer_kwargs={{'macro_q': False}}), or stack beneath the options: "
                 "OptionsWrapper(FrameStackObservation(env, n))."
             )
-        # A replay buffer stores sums, and normalises them when they are drawn, with the σ of that time.
+        # A replay buffer stores sums, and normalises them when they are drawn, with the σ at that time.
         if normalizer is not None and normalizer.norm_reward and np.isfinite(normalizer.clip_reward):
             raise ValueError(
                 f"VecNormalize clips the reward of a whole option at {normalizer.clip_reward}, and with it γ: how long "
@@ -194,11 +194,11 @@ class ValueBased(Networks):
             )
 
     def outputs(self, batch: Any) -> torch.Tensor:
-        """Q of every action; of QRDQN every quantile."""
+        """Return Q of every action; for QRDQN every quantile."""
         return torch.as_tensor(heads.networks(self.model.policy)[0](batch))
 
     def widen(self, actions: spaces.Discrete) -> None:
-        """An empty `OptionReplayBuffer` takes the place of a stock one."""
+        """Also replace a stock replay buffer with an empty `OptionReplayBuffer`."""
         super().widen(actions)
         model = self.model
         model.policy.net_args["action_space"] = actions  # for building networks
@@ -208,7 +208,7 @@ class ValueBased(Networks):
             self._use_option_buffer(actions)
 
     def _check_stock(self, *, irreplaceable: bool = False) -> None:
-        """Refuse a replay buffer that none of ours may replace."""
+        """Refuse a replay buffer that `OptionReplayBuffer` may not replace."""
         buffer = self.model.replay_buffer
         name = type(self.model).__name__
         known = self.replay_buffer is not None or type(buffer) in (*STOCK_BUFFERS, type(None))
@@ -231,7 +231,7 @@ class ValueBased(Networks):
 
 
 class Sampled(Networks):
-    """PPO, A2C, TRPO: actions are drawn from a policy's probabilities, and learned from in rollouts.
+    """PPO, A2C, TRPO: sample actions from a policy's probabilities, and learn from rollouts.
 
     An update uses the probabilities that the actions had, so no head may open within a rollout.
     """
@@ -240,14 +240,14 @@ class Sampled(Networks):
     waits_for_rollout = True
 
     def outputs(self, batch: Any) -> torch.Tensor:
-        """Logarithms of the probabilities."""
+        """Return the logarithms of the probabilities."""
         return torch.as_tensor(self._distribution(batch).distribution.logits)
 
     def _distribution(self, batch: Any) -> Any:
         return self.model.policy.get_distribution(batch)
 
     def widen(self, actions: spaces.Discrete) -> None:
-        """The distribution and the rollout buffer know the actions too."""
+        """Also tell the distribution and the rollout buffer of the actions."""
         super().widen(actions)
         self.model.policy.action_dist.action_dim = int(actions.n)
         buffer: BaseBuffer = self.model.rollout_buffer
@@ -260,7 +260,7 @@ class Masked(Sampled):
     waits_for_rollout = False
 
     def widen(self, actions: spaces.Discrete) -> None:
-        """The rollout buffer stores masks of the wider space."""
+        """Also let the rollout buffer store masks of the wider space."""
         super().widen(actions)
         self.model.rollout_buffer.mask_dims = int(actions.n)
         self.model.rollout_buffer.reset()
@@ -286,7 +286,7 @@ class Recurrent(Sampled):
 
 
 def family_of(model: BaseAlgorithm) -> Family:
-    """The adapter of a model."""
+    """Return the adapter of a model."""
     if isinstance(model, MacroQ):
         return Table(model)
     if hasattr(model, "rollout_buffer"):
@@ -297,10 +297,10 @@ def family_of(model: BaseAlgorithm) -> Family:
 
 
 def forget_slot(model: BaseAlgorithm, slot: int, n_primitive: int) -> bool:
-    """Remove values, moments of the optimizer and stored transitions of a slot, which is empty now.
+    """Remove values, optimizer moments and stored transitions of an emptied slot; return whether it had values.
 
     The values of an empty slot are closed (`heads`) or 0 (`MacroQ`), and no stored transition names it. Otherwise
-    updates would go on moving the closed values, and with them what all actions share.
+    updates would move the closed values, and with them the weights that all actions share.
     """
     family = family_of(model)
     action = n_primitive + slot
@@ -312,7 +312,7 @@ def forget_slot(model: BaseAlgorithm, slot: int, n_primitive: int) -> bool:
 
 
 def forget_empty(model: BaseAlgorithm, slot: int, n_primitive: int) -> None:
-    """`forget_slot` of a slot that is empty when training starts, with a warning if the model had learned of it."""
+    """Call `forget_slot` for a slot that is empty when training starts, and warn if the model had learned about it."""
     if forget_slot(model, slot, n_primitive) and family_of(model).has_learned():
         logger.warning(
             "Slot %d is empty, and the model has learned what an option there is worth: that is forgotten now. If "

@@ -1,8 +1,8 @@
 """Closed and open heads: the outputs of option slots in a stock network.
 
 The outputs of an empty slot are closed: weights 0 and a bias that loses every comparison. So no greedy choice and no
-bootstrap target names the slot, and its gradient is zero, because no stored transition names it either. The outputs are
-opened when an option is installed. All other outputs stay bit for bit what they were.
+bootstrap target names the slot. Its gradient is zero, because no stored transition names it either. The outputs are
+opened when an option is installed. All other outputs stay the same, bit for bit.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from typing import Any
 import torch
 
 CLOSED_VALUE = -1e6
-"""Bias of a closed output: below any return, of probability 0 as a logit, and far from where float32 overflows."""
+"""Bias of a closed output: below any return, of probability 0 as a logit, and far from float32's overflow."""
 
 ROUNDING = 1e-4
-"""By so much of what is added to one output others may move, and itself may differ."""
+"""Tolerance of `check_outputs`, relative to the number added to one output, for it and for the others."""
 
 VALUES = ("q_net", "quantile_net")
 """Attributes of a policy that hold networks of action values; the target network has the suffix ``_target``."""
 
 
 def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
-    """The last layers that give one value (or one set of quantiles) per action.
+    """Return the last layers that give one value (or one set of quantiles) per action.
 
     They are found by their shape: in each network the last linear layer with an output for each action.
 
     Args:
-        policy: Of an SB3 model.
+        policy: Policy of an SB3 model.
 
     Returns:
-        A layer and its outputs per action, for each of the heads. They are the online and the target network of DQN and
-        QRDQN, the logits of an actor-critic policy (PPO, A2C, TRPO, MaskablePPO, RecurrentPPO).
+        A layer and its outputs per action, for each of the heads. These are the online and the target network of DQN
+        and QRDQN, or the logits of an actor-critic policy (PPO, A2C, TRPO, MaskablePPO, RecurrentPPO).
 
     Raises:
         TypeError: There is no such network, or it has no such layer.
@@ -53,7 +53,7 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
 
 
 def last_layer(network: torch.nn.Module, name: str, n_outputs: int) -> torch.nn.Linear:
-    """The last linear layer of a network with so many outputs."""
+    """Return the last linear layer of a network that has ``n_outputs`` outputs."""
     linear = [each for each in network.modules() if isinstance(each, torch.nn.Linear) and each.bias is not None]
     fitting = [each for each in linear if each.out_features == n_outputs]
     if not fitting:
@@ -65,18 +65,18 @@ def last_layer(network: torch.nn.Module, name: str, n_outputs: int) -> torch.nn.
 
 
 def networks(policy: Any) -> tuple[Any, Any]:
-    """The online and the target network of DQN or QRDQN."""
+    """Return the online and the target network of DQN or QRDQN."""
     name = next(name for name in VALUES if getattr(policy, f"{name}_target", None) is not None)
     return getattr(policy, name), getattr(policy, f"{name}_target")
 
 
 def has_networks(policy: Any) -> bool:
-    """Whether the policy gives values of actions, as DQN's and QRDQN's do."""
+    """Return whether the policy gives values of actions, as those of DQN and QRDQN do."""
     return any(getattr(policy, f"{name}_target", None) is not None for name in VALUES)
 
 
 def rows_of(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> torch.Tensor:
-    """Rows of the layer that belong to an action; QRDQN lays its outputs out as (quantile, action)."""
+    """Return the rows of the layer for an action; QRDQN lays out its outputs as (quantile, action)."""
     n_actions = layer.out_features // outputs_per_action
     return torch.arange(outputs_per_action, device=layer.weight.device) * n_actions + action
 
@@ -105,15 +105,14 @@ def forget_moments(policy: Any, action: int) -> None:
 def open_head(policy: Any, action: int, n_primitive: int, *, odds: float | None = None) -> None:
     """Set the outputs of ``action`` to the mean of the primitive actions' values, or of their logits.
 
-    The mean never exceeds the best primitive's value, so that a new option is chosen by exploration and not by a lucky
-    initialisation.
+    The mean never exceeds the best primitive's value: exploration must choose a new option, not a lucky initialisation.
 
     Args:
-        policy: Of an SB3 model.
-        action: Whose head is closed.
+        policy: Policy of an SB3 model.
+        action: Action whose head is closed.
         n_primitive: Number of primitive actions.
-        odds: For logits: probability of the action over that of all primitives together, where these are equally
-            likely; None makes it as likely as one of them. The more certain the policy, the smaller its probability.
+        odds: For logits: probability of the action over that of all primitives together, if these are equally likely.
+            None makes it as likely as one of them. The more certain the policy, the smaller its probability.
     """
     for layer, outputs in option_outputs(policy):
         primitive = torch.stack([rows_of(layer, outputs, a) for a in range(n_primitive)])
@@ -125,7 +124,7 @@ def open_head(policy: Any, action: int, n_primitive: int, *, odds: float | None 
 
 
 def is_closed(policy: Any, action: int) -> bool:
-    """Whether ``action`` is closed, also after weight decay (AdamW's) has raised its bias a little."""
+    """Return whether ``action`` is closed, also after weight decay (AdamW's) has raised its bias a little."""
     layer, outputs = option_outputs(policy)[0]
     rows = rows_of(layer, outputs, action)
     return bool((layer.bias[rows] <= CLOSED_VALUE / 1000).all())
@@ -133,15 +132,15 @@ def is_closed(policy: Any, action: int) -> bool:
 
 @torch.no_grad()
 def check_outputs(policy: Any, actions_of: Callable[[], torch.Tensor]) -> None:
-    """Refuse a network whose last layer does not give each action an output of its own, as a user's may be.
+    """Refuse a network, such as a user's own, whose last layer does not give each action an output of its own.
 
-    The test adds a number to the bias of the last action: it alone may change, by this number.
+    The test adds a number to the bias of the last action: only its output may change, by this number.
     """
     layer, outputs = option_outputs(policy)[0]
     rows = rows_of(layer, outputs, int(policy.action_space.n) - 1)
     before = actions_of()
     bias = layer.bias.clone()
-    added = 1.0 + float(before.abs().max())  # as large as the values, or it would be lost in their rounding
+    added = 1.0 + float(before.abs().max())  # as large as the values, or their rounding would hide it
     layer.bias[rows] += added
     moved = (actions_of() - before).flatten(end_dim=-2) / added
     layer.bias.copy_(bias)
@@ -157,7 +156,7 @@ def check_outputs(policy: Any, actions_of: Callable[[], torch.Tensor]) -> None:
 
 
 def widen(layer: torch.nn.Linear, n_later: int, outputs_per_action: int, optimizer: torch.optim.Optimizer) -> None:
-    """Add outputs of zero weights for ``n_later`` more actions; what the optimizer keeps for each old row is kept."""
+    """Add outputs of zero weights for ``n_later`` more actions; the optimizer keeps its state for each old row."""
     for name in ("weight", "bias"):
         old: torch.nn.Parameter = getattr(layer, name)
         new = torch.nn.Parameter(_widened(old, n_later, outputs_per_action), requires_grad=old.requires_grad)
@@ -175,7 +174,7 @@ def widen(layer: torch.nn.Linear, n_later: int, outputs_per_action: int, optimiz
 
 
 def _widened(rows: torch.Tensor, n_later: int, outputs_per_action: int) -> torch.Tensor:
-    """Rows (outputs per action · actions, …), with zeros for later actions."""
+    """Return rows (outputs per action · actions, …), with zeros for later actions."""
     present = rows.detach().reshape(outputs_per_action, -1, *rows.shape[1:])
     zeros = present.new_zeros((outputs_per_action, n_later, *rows.shape[1:]))
     return torch.cat([present, zeros], dim=1).flatten(0, 1).contiguous()

@@ -19,22 +19,22 @@ from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.masked import MaskedPrediction, n_actions_of
 
 LONGEST_ROLLOUT = 1000
-"""Decisions of each environment after which a rollout ends though no episode has: of tasks without episodes, say."""
+"""Decisions of each environment after which a rollout ends even if no episode has, as in tasks without episodes."""
 
 
 class LinearFeatures(Protocol):
-    """Which of ``n_features`` binary features are 1 in an observation; always ``n_active`` of them.
+    """Says which of ``n_features`` binary features are 1 in an observation; always ``n_active`` of them.
 
     Attributes:
-        n_features: How many there are.
-        n_active: How many of them are 1.
+        n_features: Number of features.
+        n_active: Number of features that are 1.
     """
 
     n_features: int
     n_active: int
 
     def active(self, observations: npt.NDArray[Any]) -> IntArray:
-        """Indices of the features that are 1, for a batch of observations: shape (batch, n_active)."""
+        """Return the indices of the features that are 1, for a batch of observations: shape (batch, n_active)."""
 
 
 class OneHot:
@@ -52,7 +52,7 @@ class OneHot:
         self.coded = coded
 
     def active(self, observations: npt.NDArray[Any]) -> IntArray:
-        """The state's index, shape (batch, 1)."""
+        """Return the state's index, shape (batch, 1)."""
         if self.coded:
             index: IntArray = observations.reshape(-1, self.n_features).argmax(axis=1, keepdims=True)
             return index
@@ -72,11 +72,11 @@ class LinearPolicy(BasePolicy):
         self.register_buffer("weights", weights)
 
     def table(self) -> FloatArray:
-        """The weights as an array that shares their memory, shape (n_features, n_actions)."""
+        """Return the weights as an array that shares their memory, shape (n_features, n_actions)."""
         return cast("FloatArray", self.weights.numpy())
 
     def values(self, observations: npt.NDArray[Any]) -> FloatArray:
-        """Q of every action, shape (batch, n_actions)."""
+        """Return Q of every action, shape (batch, n_actions)."""
         return np.asarray(self.table()[self.features.active(observations)].sum(axis=1))
 
     def _predict(self, observation: Any, deterministic: bool = False) -> torch.Tensor:
@@ -88,19 +88,19 @@ class MacroQ(MaskedPrediction):
 
     After a primitive action: Q(s, a) ← Q(s, a) + α [r + γ max Q(s', ·) − Q(s, a)]. After an option of k steps the same
     is done for each primitive step inside it, in order, and then for the option itself with Σ γⁱ rᵢ and γᵏ:
-    Q(s, o) ← Q(s, o) + α [Σ γⁱ rᵢ + γᵏ max Q(s', ·) − Q(s, o)]. The maximum is taken over what may start in s'. An
-    action with a duration of its own (``info["option"]`` of a user's environment) is discounted by its γᵏ, too. Actions
-    are ε-greedy among what may start, with ties broken at random.
+    Q(s, o) ← Q(s, o) + α [Σ γⁱ rᵢ + γᵏ max Q(s', ·) − Q(s, o)]. The maximum is over the actions that may start in s'.
+    An action with a duration of its own (``info["option"]`` of a user's environment) is discounted by its γᵏ, too.
+    Actions are ε-greedy among those that may start, with ties broken at random.
 
     Args:
-        env: With discrete actions; `OptionsWrapper` beneath or not.
+        env: Environment with discrete actions, with or without `OptionsWrapper`.
         features: Linear features; by default one per state, for ``Discrete`` observations and for one-hot ``Box``.
         learning_rate: α, divided among the active features.
         gamma: γ per primitive step, in [0, 1].
         epsilon: ε, in [0, 1].
-        tensorboard_log: Where to log; None does not.
+        tensorboard_log: Folder of the TensorBoard log; None writes none.
         verbose: As in SB3.
-        seed: Of everything random.
+        seed: Seed of everything random.
         device: Ignored: a table is updated faster by the CPU.
         _init_setup_model: As in SB3.
 
@@ -160,7 +160,7 @@ class MacroQ(MaskedPrediction):
         self._count_slots()
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
-        """As in SB3: learn in another environment from now on."""
+        """Learn in another environment from now on, as in SB3."""
         super().set_env(env, force_reset)
         self._count_slots()
 
@@ -185,13 +185,13 @@ class MacroQ(MaskedPrediction):
 
         Args:
             total_timesteps: Primitive steps if a callback of this library counts them, else decisions.
-            callback: One or several.
+            callback: One callback or several.
             log_interval: Episodes between two entries of the log; None writes none.
             tb_log_name: Name of the run for TensorBoard.
             reset_num_timesteps: Whether counting starts from 0.
-            progress_bar: Whether to show one.
+            progress_bar: Whether to show a progress bar.
         """
-        # Callbacks look for each other in the local `callback`, as with SB3's own algorithms.
+        # Callbacks find each other in the local `callback`, as with SB3's own algorithms.
         total_timesteps, callback = self._setup_learn(
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
@@ -218,7 +218,7 @@ class MacroQ(MaskedPrediction):
                 ended = over[i] and not info.get("TimeLimit.truncated", False)
                 self._learn_from(active[i], int(actions[i]), float(rewards[i]), arrived, ended, runs[i])
             self._last_obs, active = new_obs, new_active  # type: ignore[assignment]  # SB3 annotates it as None
-            # After the update, so that a callback that stops training at the end of an episode loses no step.
+            # After the update: a callback that stops training at the end of an episode must lose no step.
             callback.update_locals(locals())
             goes_on = callback.on_step()
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
@@ -227,11 +227,11 @@ class MacroQ(MaskedPrediction):
                 since = 0
                 self._update_info_buffer(infos, dones)
                 self._episode_num += sum(over)
-                # Between two rollouts callbacks install and remove options, and write checkpoints; here a rollout is
-                # what lies between the ends of episodes, which there may be none of.
+                # Between two rollouts callbacks install and remove options, and write checkpoints. Here a rollout
+                # lasts until an episode ends, which may never happen.
                 callback.on_rollout_end()
                 if log_interval is not None and any(over) and self._episode_num % log_interval == 0:
-                    self._log()  # before a checkpoint, from which nothing is logged that came before it
+                    self._log()  # before a checkpoint: a resumed training logs nothing older
                 callback.on_rollout_start()
                 choices = self._choices()
             elif self._asks:
@@ -254,12 +254,12 @@ class MacroQ(MaskedPrediction):
         """Update the values from one call of ``step`` and from the primitive steps inside it.
 
         Args:
-            began: Active features where it began.
+            began: Active features where the call began.
             action: The augmented action.
             reward: Σ γⁱ rᵢ.
-            arrived: Active features where it led.
+            arrived: Active features where the call led.
             ended: Whether nothing follows.
-            run: What ran; None where the environment has no options.
+            run: The action's run; None if the environment has no options.
         """
         if run is None:
             self._update(began, action, reward, self.gamma, arrived, ended, ())
@@ -293,7 +293,7 @@ class MacroQ(MaskedPrediction):
         ended: bool,
         available: Sequence[bool],
     ) -> None:
-        """Q ← Q + α [r + γᵏ max Q(s', ·) − Q], the maximum over primitives and the ``available`` slots."""
+        """Set Q ← Q + α [r + γᵏ max Q(s', ·) − Q], the maximum over primitives and the ``available`` slots."""
         target = reward
         if not ended:
             values = self._values(next_active)
@@ -303,37 +303,37 @@ class MacroQ(MaskedPrediction):
                     best = value
             target += discount * best
         step = self._step_size / len(active) * (target - self._values(active)[action])
-        for index in active:  # faster than an array of so few indices
+        for index in active:  # faster than an array for so few indices
             self._table[index, action] += step
 
     def _active(self, observations: Any) -> list[list[int]]:
-        """Active features of a batch: lists, because numpy is slower than Python for a handful of numbers."""
+        """Return the active features of a batch as lists: for a handful of numbers Python is faster than numpy."""
         assert self.features is not None  # set up with the model
         indices: list[list[int]] = self.features.active(observations).tolist()
         return indices
 
     def _values(self, active: list[int]) -> list[float]:
-        """Q of every action where these features are active."""
+        """Return Q of every action for these active features."""
         row = self._table[active[0]] if len(active) == 1 else self._table[active].sum(axis=0)
         values: list[float] = row.tolist()
         return values
 
     def _choices(self) -> list[list[int]]:
-        """Which actions may start now in each environment, asked for when an episode has ended."""
+        """Ask each environment which actions may start now."""
         assert self.env is not None  # only asked while learning
         if self._n_slots:
             return [mask.nonzero()[0].tolist() for mask in self.env.env_method("action_masks")]
         return [list(range(self._n_actions))] * self.env.num_envs
 
     def _choices_after(self, run: OptionRun | None) -> list[int]:
-        """Which actions may start after the step that ran this."""
+        """Return which actions may start after a run."""
         if run is None or run.available is None:
             return self._primitives
         slots: list[bool] = run.available[-1].tolist()
         return self._primitives + [self._n_primitive + slot for slot, may_start in enumerate(slots) if may_start]
 
     def _explore(self, values: list[float], choices: list[int]) -> int:
-        """ε-greedy among ``choices``, ties broken at random."""
+        """Choose ε-greedily among ``choices``, with ties broken at random."""
         if self._random.random() >= self.epsilon:
             best = max(values) if len(choices) == len(values) else max([values[a] for a in choices])
             choices = [a for a in choices if values[a] == best]
@@ -365,7 +365,7 @@ class MacroQ(MaskedPrediction):
 
 
 def default_features(space: spaces.Space[Any]) -> LinearFeatures:
-    """One feature per state."""
+    """Return one feature per state."""
     if isinstance(space, spaces.Discrete):
         return OneHot(int(space.n), coded=False)
     if isinstance(space, spaces.Box) and len(space.shape) == 1 and (space.low == 0).all() and (space.high == 1).all():

@@ -1,4 +1,4 @@
-"""Which actions are available, and `predict` of algorithms that keep to these."""
+"""Which actions are available, and a `predict` that chooses only these."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ AVAILABILITY_CHUNK = 4096  # stored observations are sent to the environment in 
 
 
 def n_actions_of(model: BaseAlgorithm) -> int:
-    """Number of augmented actions."""
+    """Return the number of augmented actions."""
     return int(cast("spaces.Discrete", model.action_space).n)
 
 
 def unnormalized(normalizer: VecNormalize, observations: Any) -> Any:
-    """A batch of observations as it was before ``VecNormalize``, but for numbers that it clipped.
+    """Return a batch of observations as it was before ``VecNormalize``, except for clipped numbers.
 
-    Those of the environment's current observations are recovered, too.
+    Clipped numbers of the environment's current observations are recovered, too.
     """
     original = normalizer.old_obs  # empty before the first reset
     if len(original) and _equal(normalizer.normalize_obs(original), observations):
@@ -41,7 +41,7 @@ def _equal(one: Any, other: Any) -> bool:
 
 
 def stored_availability(buffer: OptionReplayBuffer, venv: VecEnv) -> BoolArray:
-    """Which augmented actions may start in each stored next observation, (size, n_actions)."""
+    """Return which augmented actions may start in each stored next observation, (size, n_actions)."""
     stored = buffer.next_observations_stored()
     chunks = [
         as_wrapper_sees(venv, take(stored, slice(start, start + AVAILABILITY_CHUNK)))
@@ -51,7 +51,7 @@ def stored_availability(buffer: OptionReplayBuffer, venv: VecEnv) -> BoolArray:
 
 
 def _channels_first(observations: Any, space: spaces.Space[Any]) -> Any:
-    """A batch whose images have their channels where the algorithm has them; SB3 takes those of an environment, too."""
+    """Return a batch with image channels where the algorithm has them: SB3 also accepts the environment's order."""
     if isinstance(space, spaces.Dict):
         return {key: maybe_transpose(part, space[key]) for key, part in observations.items()}
     return maybe_transpose(observations, space)
@@ -61,7 +61,7 @@ class MaskedPrediction(BaseAlgorithm):
     """Base class of `OptionDQN` and `MacroQ`: ε-greedy among the available actions."""
 
     _n_slots: int
-    """Option slots of the environment; 0 where it is not wrapped in `OptionsWrapper`."""
+    """Option slots of the environment; 0 without `OptionsWrapper`."""
 
     def predict(
         self,
@@ -71,10 +71,10 @@ class MaskedPrediction(BaseAlgorithm):
         deterministic: bool = False,
         action_masks: BoolArray | None = None,
     ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
-        """Greedy (or ε-greedy) among the available actions; ``state`` is passed through.
+        """Choose greedily (or ε-greedily) among the available actions; ``state`` is passed through.
 
-        ``action_masks``, (n_actions,) or (batch, n_actions), are by default asked from the model's own environment, by
-        initiation sets alone (without ``max_runs``); without an environment every action is available.
+        ``action_masks``, (n_actions,) or (batch, n_actions), come by default from the model's own environment, by
+        initiation sets alone (without ``max_runs``). Without an environment every action is available.
         """
         values, vectorized = self._action_values(observation)
         if action_masks is None:
@@ -85,7 +85,7 @@ class MaskedPrediction(BaseAlgorithm):
         return (actions if vectorized else actions[0]), state
 
     def _available(self, observations: Any) -> BoolArray:
-        """Masks for a batch of observations as the algorithm sees them, (batch, n_actions)."""
+        """Return masks for a batch of observations as the algorithm sees them, (batch, n_actions)."""
         if self.env is None or not self._n_slots:
             return np.ones((batch_size(observations), n_actions_of(self)), dtype=bool)
         observations = _channels_first(observations, self.observation_space)
@@ -94,9 +94,9 @@ class MaskedPrediction(BaseAlgorithm):
         return np.asarray(self.env.env_method("available", as_wrapper_sees(self.env, observations), indices=[0])[0])
 
     def _action_values(self, observation: Any) -> tuple[FloatArray, bool]:
-        """Q of every action, (batch, n_actions), and whether ``observation`` was a batch."""
+        """Return Q of every action, (batch, n_actions), and whether ``observation`` was a batch."""
         raise NotImplementedError
 
     def _explored(self, values: FloatArray, masks: BoolArray, greedy: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """ε-greedy actions, (batch,), given the greedy ones."""
+        """Return ε-greedy actions, (batch,), given the greedy ones."""
         raise NotImplementedError

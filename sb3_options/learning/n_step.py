@@ -12,13 +12,13 @@ Indices = npt.NDArray[np.int64]
 Column = npt.NDArray[np.float32]
 """A number for each row of a replay buffer."""
 
-END = -1  # nothing is stored that follows: the episode ended, or the newest decision
+END = -1  # no stored row follows: the episode ended, or this is the newest decision
 
 
 class Successors:
-    """Which row of a replay buffer holds the decision that followed each row's.
+    """Links each row of a replay buffer to the row of the decision that followed.
 
-    The steps inside an option are rows too: each is followed by the next one inside, the last by the next decision.
+    The steps inside an option are rows too. The next step inside follows each of them, and the next decision the last.
     """
 
     def __init__(self, buffer_size: int, n_envs: int) -> None:
@@ -26,17 +26,17 @@ class Successors:
         self.begin(n_envs)
 
     def begin(self, n_envs: int) -> None:
-        """Let nothing that is stored be followed by a new decision, of so many environments."""
+        """Start new sequences for ``n_envs`` environments: no new decision follows a stored one."""
         self._newest = [np.zeros(0, dtype=np.int64)] * n_envs
 
     def newest(self, env: int) -> Indices:
-        """The newest decision of an environment whose episode goes on, (1,); or nothing, (0,)."""
+        """Return the newest decision of an environment whose episode goes on, (1,), or nothing, (0,)."""
         return self._newest[env][-1:]
 
     def add(self, env: int, decision: int, inner: Indices, *, follows: bool, done: bool) -> None:
         """Enter the newest decision of an environment, and the steps inside it, in order, (k,) or empty.
 
-        ``follows``: it began where the `newest` one ended. A reset in mid-episode comes between them otherwise.
+        ``follows``: it began where the `newest` one ended, without a reset in mid-episode between them.
         """
         size = len(self.following)
         inner = inner[-size:]  # a longer run has overwritten its own first rows, and its decision's
@@ -55,23 +55,23 @@ class Successors:
         self._newest = [newest[~np.isin(newest, rows)] for newest in self._newest]
 
     def get_state(self, size: int) -> dict[str, Any]:
-        """For a checkpoint: that of the first ``size`` rows."""
+        """Return the state of the first ``size`` rows, for a checkpoint."""
         return {"following": self.following[:size], "newest": list(self._newest)}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Hold what `get_state` gave."""
+        """Restore the state from `get_state`."""
         self.following[: len(state["following"])] = state["following"]
         self._newest = state["newest"]
 
     def returns(self, rows: Indices, n: int, rewards: Column, discounts: Column) -> tuple[Indices, Column, Column]:
-        """Returns from some rows over the next n decisions, or fewer where the episode ends or nothing more is stored.
+        """Compute returns over the next n decisions, or fewer if the episode ends or no more are stored.
 
         They are R₁ + γ^k₁ R₂ + γ^(k₁+k₂) R₃ + …, each Rᵢ over the kᵢ primitive steps of its decision.
 
         Args:
-            rows: Where they begin, (batch,).
-            n: Decisions.
-            rewards: Of all rows of the buffer.
+            rows: Rows where the returns begin, (batch,).
+            n: Number of decisions.
+            rewards: Rewards of all rows of the buffer.
             discounts: The γᵏ of all rows.
 
         Returns:

@@ -26,22 +26,22 @@ NoveltyKind: TypeAlias = Literal["counts", "rnd"]
 """How novelty is measured: by `StateCounts` or by `RandomNetworkDistillation`."""
 
 CLIP = 5.0  # normalised observations are clipped to ± this (Burda et al. 2018, §2.4)
-SMALLEST = 1e-8  # added to variances before their root is divided by
+SMALLEST = 1e-8  # added to variances before dividing by their root
 
 BINS = 20.0
-"""A bounded number of a flat observation has so many bins from its lowest to its highest value."""
+"""Number of bins from the lowest to the highest value of a bounded number in a flat observation."""
 
 LARGEST_SPAN = 1e6  # a wider range than this (the largest float, say) is no bound
 N_FEATURES = 64  # numbers that the random network makes of an observation
-HIDDEN = 128  # units of a hidden layer; the predictor has one such layer more
+HIDDEN = 128  # units of a hidden layer; the predictor has one more such layer
 LEARNING_RATE = 1e-3  # of Adam
 BATCH = 64  # the predictor takes a gradient step each time this many observations were visited
 
 
 class StateCounts:
-    """1 / √N(s) of the number of visits N(s), those of all environments together (Strehl & Littman 2008; MBIE-EB).
+    """Counts visits N(s), of all environments together, and gives 1 / √N(s) (Strehl & Littman 2008; MBIE-EB).
 
-    Observations are counted by features (batch, d): those with equal bins of these widths, a number or (d,), are one
+    Observations are counted by features (batch, d). Those with equal bins of these widths, a number or (d,), are one
     state.
     """
 
@@ -53,43 +53,43 @@ class StateCounts:
         self.visits: dict[bytes, int] = {}
 
     def keys(self, observations: Observations) -> list[bytes]:
-        """What each observation of a batch is counted as."""
+        """Return the state that each observation of a batch counts as."""
         rows = np.asarray(self.features(observations), dtype=np.float64)
         if not np.isfinite(rows).all():
             raise ValueError("The feature map of the bonus gave NaN or infinite features.")
         return [short_key(row.tobytes()) for row in np.rint(rows / self.widths).astype(np.int64)]
 
     def visit(self, observations: Observations) -> FloatArray:
-        """Count each observation, then 1 / √N, (batch,): 1 the first time; one that is there twice counts twice."""
+        """Count each observation and return 1 / √N, (batch,): 1 the first time. Duplicates in a batch all count."""
         counts = np.empty(batch_size(observations))
         for i, key in enumerate(self.keys(observations)):
             counts[i] = self.visits[key] = self.visits.get(key, 0) + 1
         return 1.0 / np.sqrt(counts)
 
     def records(self) -> dict[str, float]:
-        """How many different states were visited."""
+        """Return the number of distinct visited states."""
         return {"states": float(len(self.visits))}
 
 
 def is_table_like(space: spaces.Space[Any]) -> bool:
-    """Whether observations are whole numbers in all their parts, so that each can be counted as it is."""
+    """Return whether all parts of observations are whole numbers, so each can be counted as it is."""
     if isinstance(space, spaces.Dict):
         return all(is_table_like(part) for part in space.spaces.values())
     return space.dtype is not None and np.issubdtype(space.dtype, np.integer)
 
 
 def bin_widths(space: spaces.Box) -> FloatArray:
-    """Widths of the bins of a flat observation, (d,): the range of each number in `BINS` parts, 1 where it has none."""
+    """Return bin widths of a flat observation, (d,): the range of each number over `BINS`, or 1 without a range."""
     spans = space.high.ravel().astype(np.float64) - space.low.ravel()
     return np.where(np.isfinite(spans) & (spans > 0.0) & (spans < LARGEST_SPAN), spans / BINS, 1.0)
 
 
 class RandomNetworkDistillation:
-    """How badly a network predicts what a random one makes of an observation (Burda et al. 2018, §2.2).
+    """Prediction error of a network for the output of a random network (Burda et al. 2018, §2.2).
 
     Flat observations are normalised by their running mean and standard deviation, and clipped. The error is the mean of
-    squares over what the random network makes of them. Each visited observation is learned from once, as in the paper
-    (4 epochs of a quarter of the batch).
+    squares over the random network's outputs. Each visited observation is learned from once, as in the paper (4 epochs
+    of a quarter of the batch).
     """
 
     STATE = ("statistics", "loss", "target", "predictor", "_optimizer", "_visited")
@@ -97,7 +97,7 @@ class RandomNetworkDistillation:
     def __init__(self, size: int, seed: int = 0) -> None:
         self.statistics = RunningMeanStd(shape=(size,))
         self.loss = math.nan
-        with torch.random.fork_rng(devices=[]):  # the model's own draws stay as they are without a bonus
+        with torch.random.fork_rng(devices=[]):  # the bonus must not change the model's own draws
             torch.manual_seed(seed)
             self.target = _network(size, n_hidden=1).requires_grad_(requires_grad=False)
             self.predictor = _network(size, n_hidden=2)
@@ -105,7 +105,7 @@ class RandomNetworkDistillation:
         self._visited: list[torch.Tensor] = []
 
     def visit(self, observations: Observations) -> FloatArray:
-        """The error before the predictor learns from these observations, (batch,)."""
+        """Return the error before the predictor learns from these observations, (batch,)."""
         rows = flatten(observations)
         self.statistics.update(rows)
         normalized = self._normalized(rows)
@@ -118,7 +118,7 @@ class RandomNetworkDistillation:
         return np.asarray(errors.numpy(), dtype=np.float64)
 
     def records(self) -> dict[str, float]:
-        """The predictor's last loss; nothing before the first."""
+        """Return the predictor's last loss, or nothing before the first."""
         return {} if math.isnan(self.loss) else {"loss": self.loss}
 
     def _normalized(self, rows: FloatArray) -> torch.Tensor:
@@ -139,9 +139,9 @@ def _network(size: int, *, n_hidden: int) -> nn.Sequential:
 
 
 class ReturnScale:
-    """The running standard deviation of the intrinsic return, by which bonuses are divided (Burda et al. 2018, §2.4).
+    """The running standard deviation of the intrinsic return, which divides bonuses (Burda et al. 2018, §2.4).
 
-    The return is Gₜ = γ Gₜ₋₁ + bₜ over the primitive steps of each environment, on across the ends of episodes.
+    The return is Gₜ = γ Gₜ₋₁ + bₜ over the primitive steps of each environment, across the ends of episodes.
     """
 
     STATE = ("returns", "statistics")
@@ -152,7 +152,7 @@ class ReturnScale:
         self.statistics = RunningMeanStd(shape=())
 
     def update(self, bonuses: Sequence[FloatArray]) -> None:
-        """Go on by some primitive steps, with the bonuses of each environment, (k,) each."""
+        """Add primitive steps with the bonuses of each environment, (k,) each."""
         passed = []
         for env, of_env in enumerate(bonuses):
             for bonus in of_env:

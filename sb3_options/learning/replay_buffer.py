@@ -19,11 +19,11 @@ from sb3_options.learning.n_step import Successors
 NO_ROWS: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
 Rows = dict[str, npt.NDArray[Any]]
-"""Observations by key; of a space that is no ``Dict`` the key is empty."""
+"""Observations by key; the key is empty unless the space is a ``Dict``."""
 
 
 class OptionReplayBufferSamples(NamedTuple):
-    """`ReplayBufferSamples` with what options add.
+    """`ReplayBufferSamples` with the additions for options.
 
     Attributes:
         observations: (batch, ...).
@@ -32,8 +32,8 @@ class OptionReplayBufferSamples(NamedTuple):
         dones: 1 where nothing follows; a timeout is not such an end. (batch, 1).
         rewards: Σ γⁱ rᵢ over the k primitive steps, (batch, 1).
         discounts: γᵏ, (batch, 1).
-        next_available: Which option slots may start in the next observation, (batch, max_options); None where the
-            buffer does not track availability.
+        next_available: Which option slots may start in the next observation, (batch, max_options); None if the buffer
+            does not track availability.
     """
 
     observations: Any
@@ -46,7 +46,7 @@ class OptionReplayBufferSamples(NamedTuple):
 
 
 class Growing(NamedTuple):
-    """An array with, for each row, at which of its ``changes`` so far that was written last."""
+    """An array and, for each row, the number of ``changes`` at which it was last written."""
 
     array: npt.NDArray[Any]
     changed_at: npt.NDArray[np.int64]
@@ -56,25 +56,25 @@ class Growing(NamedTuple):
 class OptionReplayBuffer(ReplayBuffer):
     """A replay buffer that makes SB3's off-policy algorithms learn correctly over options.
 
-    Every transition of k primitive steps is stored with Σ γⁱ rᵢ and sampled with ``discounts`` = γᵏ, which DQN,
-    QRDQN and the others put into their targets: SMDP Q-learning (Bradtke & Duff 1995; Sutton, Precup & Singh 1999,
-    §2). The primitive that an empty slot ran is stored as that primitive.
+    Every transition of k primitive steps is stored with Σ γⁱ rᵢ and sampled with ``discounts`` = γᵏ, which DQN, QRDQN
+    and the others put into their targets: SMDP Q-learning (Bradtke & Duff 1995; Sutton, Precup & Singh 1999, §2). The
+    primitive that an empty slot ran is stored as that primitive.
 
     Macro-Q learning (McGovern & Sutton 1998): each primitive step inside an option is stored as well, with its own
-    action and reward and a discount of γ, so that one run of an option updates k + 1 values.
+    action and reward and a discount of γ. So one run of an option updates k + 1 values.
 
     With ``n_steps`` the target is the return over the next n decisions (`n_step`), for the steps inside options too.
 
     The rows of all environments are stored in one sequence, because their options take different numbers of steps.
 
     Args:
-        buffer_size: Most transitions it holds.
-        observation_space: Also ``Dict``.
+        buffer_size: Maximum number of transitions.
+        observation_space: Observation space, also a ``Dict``.
         action_space: Augmented actions.
-        device: Where samples go.
+        device: Device of samples.
         n_envs: Number of parallel environments.
         optimize_memory_usage: Not supported.
-        handle_timeout_termination: Bootstrap after a timeout instead of taking it for an end.
+        handle_timeout_termination: Bootstrap after a timeout instead of treating it as an end.
         macro_q: Whether the steps inside options are stored.
         n_steps: Decisions of an n-step return, each with its own γᵏ; at least 1. Steps inside options are one each.
         gamma: Unused, as for SB3's ``NStepReplayBuffer``: every transition has its own discount.
@@ -127,23 +127,23 @@ class OptionReplayBuffer(ReplayBuffer):
         self.next_available = zeros(bool, 0)
 
     def track_availability(self, max_options: int) -> None:
-        """Also keep, for each transition, which of ``max_options`` slots may start in its next observation."""
+        """Also store, for each transition, which of ``max_options`` slots may start in its next observation."""
         if self.next_available.shape[1] != max_options:
             self.next_available = np.zeros((self.buffer_size, max_options), dtype=bool)
 
     def next_observations_stored(self) -> Observations:
-        """The next observations of all stored transitions, as the VecEnv gave them, row by row."""
+        """Return the next observations of all stored transitions, in the form of the VecEnv, row by row."""
         taken = {k: v[: self.size()] for k, v in self._next_observations.items()}
         given = {k: v.reshape(len(v), *(self._spaces[k].shape or ())) for k, v in taken.items()}
         return given.get("", given)
 
     @property
     def tracks_availability(self) -> bool:
-        """Whether it stores which slots may start in next observations."""
+        """Whether the buffer stores which slots may start in next observations."""
         return bool(self.next_available.shape[1])
 
     def set_next_available(self, slot: int, available: BoolArray | bool) -> None:
-        """Store of all transitions whether ``slot`` may start in their next observations, shape (size,) or one value.
+        """Store for all transitions whether ``slot`` may start in their next observations, shape (size,) or one value.
 
         Without `track_availability` nothing happens.
         """
@@ -151,7 +151,7 @@ class OptionReplayBuffer(ReplayBuffer):
             self.next_available[: self.size(), slot] = available
 
     def forget_action(self, action: int) -> None:
-        """Replace each transition of ``action``, whose slot was emptied, by a copy of the next one of another action.
+        """Replace each transition of ``action``, whose slot was emptied, with a copy of the next one of another action.
 
         With Macro-Q that is the first primitive step of the run.
         """
@@ -181,9 +181,9 @@ class OptionReplayBuffer(ReplayBuffer):
     ) -> None:
         """Store one step of every environment, and the primitive steps inside it; all have shape (n_envs, ...).
 
-        ``reward`` is Σ γⁱ rᵢ, and the infos have ``info["option"]``, as `OptionsWrapper` leaves it.
+        ``reward`` is Σ γⁱ rᵢ, and the infos have the ``info["option"]`` of `OptionsWrapper`.
         """
-        if len(infos) != self.n_envs:  # it was loaded into a model of other environments
+        if len(infos) != self.n_envs:  # it was loaded into a model with other environments
             self.n_envs = len(infos)
             if self._successors is not None:
                 self._successors.begin(self.n_envs)
@@ -212,7 +212,7 @@ class OptionReplayBuffer(ReplayBuffer):
                 self._successors.add(i, decision, inner, follows=follows, done=bool(done[i]))
 
     def _follows(self, env: int, here: Rows) -> bool:
-        """Whether a decision begins where the last one of its environment ended."""
+        """Return whether a decision begins where the last one of its environment ended."""
         newest = NO_ROWS if self._successors is None else self._successors.newest(env)
         return all(np.array_equal(self._next_observations[k][newest], v) for k, v in here.items())
 
@@ -225,7 +225,7 @@ class OptionReplayBuffer(ReplayBuffer):
         self._write(here, led, run.actions[:, None], run.rewards, last & done, last & timeout, run.gamma, run.available)
 
     def _as_stored(self, key: str, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Observations from below the VecEnv in the shape the algorithm sees: SB3 puts image channels first."""
+        """Return observations from below the VecEnv in the algorithm's shape: SB3 puts image channels first."""
         shape = self._shapes[key]
         rows = rows.reshape(len(rows), *shape) if rows[0].size == 1 else rows
         if rows.shape[1:] != shape and rows.ndim == 4 and is_image_space(self._spaces[key]):
@@ -248,7 +248,7 @@ class OptionReplayBuffer(ReplayBuffer):
         discounts: float,
         available: BoolArray | None,
     ) -> None:
-        """Write n rows at the current position, over the oldest ones where the buffer is full."""
+        """Write n rows at the current position, over the oldest ones if the buffer is full."""
         n = len(actions)
         if n == 1 or self.pos + n <= self.buffer_size:
             rows: slice | npt.NDArray[Any] = slice(self.pos, self.pos + n)
@@ -275,7 +275,7 @@ class OptionReplayBuffer(ReplayBuffer):
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> Any:
         """Draw an `OptionReplayBufferSamples` uniformly, with replacement."""
-        # SB3 seeds and draws from numpy's global generator; drawing as it does keeps a run without options equal.
+        # SB3 seeds and draws from numpy's global generator. Doing the same keeps a run without options equal.
         return BaseBuffer.sample(self, batch_size, env)
 
     def _get_samples(self, batch_inds: npt.NDArray[Any], env: VecNormalize | None = None) -> Any:
@@ -302,23 +302,23 @@ class OptionReplayBuffer(ReplayBuffer):
 
     def _split(self, observations: Any) -> Rows:
         rows = observations if isinstance(observations, dict) else {"": observations}
-        # A Discrete observation is a scalar to the environment and a vector of one to SB3.
+        # A Discrete observation is a scalar to the environment and a vector of length 1 to SB3.
         return {k: v.reshape(len(v), *self._shapes[k]) if v.ndim == 1 else v for k, v in rows.items()}
 
     def _columns(self) -> list[npt.NDArray[Any]]:
-        """Every array with one row per transition."""
+        """Return every array with one row per transition."""
         columns = [self.actions, self.rewards, self.dones, self.timeouts, self.discounts, self.next_available]
         return [*columns, *self._observations.values(), *self._next_observations.values()]
 
     def growing(self) -> list[Growing]:
-        """The observations, most of the memory: a checkpoint reads only the new ones."""
+        """Return the observations, which take most of the memory: a checkpoint reads only the new ones."""
         return [
             Growing(array, self._changed_at, self.changes)
             for array in (*self._observations.values(), *self._next_observations.values())
         ]
 
     def get_state(self) -> dict[str, Any]:
-        """For a checkpoint: the stored rows, which are not copied, and the counters."""
+        """Return the stored rows, without copying them, and the counters, for a checkpoint."""
         size = self.size()
         return {
             "counters": (self.pos, self.full),
@@ -327,7 +327,7 @@ class OptionReplayBuffer(ReplayBuffer):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Hold what `get_state` gave, in the arrays that there are."""
+        """Restore the state from `get_state`, in the present arrays."""
         self.pos, self.full = state["counters"]
         self._note_change(np.s_[:])
         for column, rows in zip(self._columns(), state["columns"], strict=True):

@@ -25,11 +25,11 @@ def smdp_advantages(
     goes_on: FloatArray,
     gae_lambda: FloatArray | float,
 ) -> FloatArray:
-    """Generalised advantage estimation over a semi-Markov process.
+    """Compute generalised advantage estimates over a semi-Markov process.
 
     δₜ = Rₜ + γᵏ V(sₜ₊₁) − V(sₜ) and Aₜ = δₜ + γᵏ λ Aₜ₊₁, both without their second term where an episode ended
     (Schulman et al. 2016, eq. 11–16, with the discount of Bradtke & Duff 1995 for an action of k steps). The trace
-    decays by λ per decision, so that an option carries credit as far as a primitive action does.
+    decays by λ per decision, so an option carries credit as far as a primitive action does.
 
     Args:
         rewards: Rₜ = Σ γⁱ rᵢ over the k primitive steps, (n_steps, n_envs), as all others.
@@ -52,10 +52,10 @@ def smdp_advantages(
 
 
 def n_decisions(n_primitive_steps: int, durations: FloatArray, multiple: int = 1, least: int = 1) -> int:
-    """How many decisions of each environment take about so many primitive steps, by the durations of the last ones.
+    """Return how many decisions per environment take about ``n_primitive_steps``, by the last durations.
 
-    They come in multiples, so that minibatches are full, where ``n_primitive_steps`` decisions fill one, and are at
-    least ``least``, and no more than there are primitive steps.
+    The number is a multiple of ``multiple``, to fill minibatches, if ``n_primitive_steps`` decisions fill one. It is at
+    least ``least``, and at most the number of primitive steps.
     """
     if multiple > n_primitive_steps:
         multiple = 1
@@ -64,16 +64,16 @@ def n_decisions(n_primitive_steps: int, durations: FloatArray, multiple: int = 1
 
 
 def add_bonuses(buffer: RolloutBuffer, bonuses: FloatArray) -> None:
-    """Turn a complete rollout into the one of rewards with a bonus.
+    """Add bonuses to the rewards, advantages and returns of a complete rollout.
 
-    Generalised advantage estimation is linear in rewards and values. So what `smdp_advantages` makes of the bonuses,
-    with values of 0, is what they add to the advantages and returns that are there.
+    Generalised advantage estimation is linear in rewards and values. So the result of `smdp_advantages` for the
+    bonuses, with values of 0, can be added to the present advantages and returns.
     """
     nothing = np.zeros_like(bonuses)
     over_options = buffer if isinstance(buffer, SMDPAdvantages) else None
     discounts = np.asarray(buffer.gamma) if over_options is None else over_options.discounts
     traces = buffer.gae_lambda if over_options is None else over_options.traces()
-    # After the last step nothing of the bonus follows, whether the episode ended there or not.
+    # No bonus follows the last step, whether the episode ended there or not.
     goes_on = 1.0 - np.concatenate([buffer.episode_starts[1:], nothing[:1]])
     advantages = smdp_advantages(bonuses, nothing, nothing, discounts, goes_on, traces)
     buffer.rewards += bonuses.astype(np.float32)
@@ -84,10 +84,10 @@ def add_bonuses(buffer: RolloutBuffer, bonuses: FloatArray) -> None:
 def normalized_rewards(
     rewards: npt.NDArray[Any], runs: Sequence[OptionRun], normalizer: VecNormalize | None
 ) -> FloatArray:
-    """Σ γⁱ r̃ᵢ over the primitive steps of each run, with r̃ = clip(r / σ, ±``clip_reward``) as ``VecNormalize`` says.
+    """Return Σ γⁱ r̃ᵢ over the primitive steps of each run, with ``VecNormalize``'s r̃ = clip(r / σ, ±``clip_reward``).
 
-    ``VecNormalize`` itself clips what it is given, which of an option is the sum: beyond the clip nothing of γ would be
-    left, and an option that reaches the goal in 120 steps would be worth as much as one that takes 1.
+    ``VecNormalize`` itself would clip the sum of an option. Beyond the clip no effect of γ would be left: an option
+    that reaches the goal in 120 steps would be worth as much as one that takes 1.
     """
     normalized = np.array(rewards, dtype=np.float64)
     if normalizer is not None and normalizer.norm_reward:
@@ -98,7 +98,7 @@ def normalized_rewards(
 
 
 class Choice(NamedTuple):
-    """What is learned of a choice that another row completes."""
+    """Data to learn from of a choice that another row completes."""
 
     action: npt.NDArray[Any]
     log_prob: torch.Tensor
@@ -109,12 +109,12 @@ class SMDPAdvantages:
     """Advantages of a semi-Markov process for an SB3 rollout buffer, which comes after this class in the bases.
 
     SB3 discounts every transition with γ, and adds γ V(s) to the last reward of an episode that timed out. Here both
-    are γᵏ for a transition of k primitive steps. SB3 does not pass infos to the buffer. Hence a callback
+    discounts are γᵏ for a transition of k primitive steps. SB3 does not pass infos to the buffer. Hence a callback
     (`PrimitiveStepsCallback`, `SubgoalDiscoveryCallback`) calls `expect` before each `add`.
 
     Attributes:
-        next_size: ``buffer_size`` of the rollout that begins with the next `reset`; None leaves it as it is.
-        n_primitive_steps: What rollouts are to take of each environment; None where they have a number of decisions.
+        next_size: ``buffer_size`` of the rollout that begins with the next `reset`; None leaves it unchanged.
+        n_primitive_steps: Primitive steps per rollout and environment; None if rollouts have a number of decisions.
     """
 
     next_size: int | None = None
@@ -154,12 +154,12 @@ class SMDPAdvantages:
     def expect(
         self, rewards: npt.NDArray[Any], runs: Sequence[OptionRun], normalizer: VecNormalize | None = None
     ) -> None:
-        """Announce the step that `add` is about to be called for.
+        """Announce the step of the next call of `add`.
 
         Args:
-            rewards: Σ γⁱ rᵢ as the VecEnv gave them, before SB3 adds a bootstrap, (n_envs,).
-            runs: What each environment ran.
-            normalizer: Of rewards, if there is one (`normalized_rewards`).
+            rewards: Σ γⁱ rᵢ from the VecEnv, before SB3 adds a bootstrap, (n_envs,).
+            runs: The run of each environment.
+            normalizer: Normaliser of rewards, if there is one (`normalized_rewards`).
         """
         durations = np.array([run.duration for run in runs], dtype=np.float64)
         discounts = np.array([run.discount for run in runs], dtype=np.float64)
@@ -196,7 +196,7 @@ class SMDPAdvantages:
         log_probs: torch.Tensor,
         masks: npt.NDArray[Any] | None,
     ) -> None:
-        """Keep what is chosen where an option begins, and put it into the row where it ends, in place."""
+        """Keep the choice from the row where an option begins, and put it into the row where it ends, in place."""
         for env in range(self.n_envs):
             if starts[env]:
                 self._choices.pop(env, None)  # the environment was reset
@@ -210,7 +210,7 @@ class SMDPAdvantages:
                     masks[env] = choice.mask
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: npt.NDArray[Any]) -> None:
-        """`smdp_advantages` of the rollout; returns are advantages plus values."""
+        """Compute `smdp_advantages` of the rollout; returns are advantages plus values."""
         values = self.values.astype(np.float64)
         last = last_values.detach().cpu().numpy().reshape(1, -1)
         ended = np.concatenate([self.episode_starts[1:], np.reshape(dones, (1, -1))]).astype(np.float64)
@@ -226,27 +226,27 @@ class SMDPAdvantages:
         self.returns[:] = advantages + values
 
     def traces(self) -> FloatArray | float:
-        """λ of each transition: 1 where an environment waits for its option to end (`OptionsVecEnv`).
+        """Return λ of each transition: 1 where an environment waits for its option to end (`OptionsVecEnv`).
 
-        Such a row has no reward, γ⁰ = 1 and the observation of the next one, so that it hands the advantage of the row
-        where the option ends to the decision before.
+        Such a row has no reward, γ⁰ = 1 and the observation of the next one. So it hands the advantage of the row where
+        the option ends to the decision before.
         """
         waits = self.durations == 0
         return np.where(waits, 1.0, self.gae_lambda) if waits.any() else self.gae_lambda
 
     def get(self, batch_size: int | None = None) -> Generator[Any, None, None]:
-        """Minibatches of the rollout, without rows in which an environment waited for its option to end.
+        """Yield minibatches of the rollout, without rows in which an environment waited for its option to end.
 
-        An option is learned from in the row where it ends, with the action, the probability and the mask of the row in
-        which it was chosen.
+        An option is learned from in the row where it ends, with the action, probability and mask of the row in which it
+        was chosen.
         """
-        rows = self._learned_from.T.ravel().nonzero()[0]  # as SB3 lays them out: one environment after another
+        rows = self._learned_from.T.ravel().nonzero()[0]  # in SB3's order: one environment after another
         if len(rows) == self._learned_from.size:
             yield from super().get(batch_size)  # type: ignore[misc]  # the SB3 buffer's
             return
         if not self.generator_ready:
             next(super().get(1))  # type: ignore[misc]  # lays them out
-        if not len(rows):  # nothing ended, and a row without advantage teaches nothing
+        if not len(rows):  # nothing ended; a row without advantage teaches nothing
             rows = np.arange(1)
             self.advantages[:1] = 0.0
             self.returns[:1] = self.values[:1]
@@ -262,7 +262,7 @@ class OptionRolloutBuffer(SMDPAdvantages, RolloutBuffer):
 
     ``PPO("MlpPolicy", env, rollout_buffer_class=OptionRolloutBuffer)``; `SubgoalDiscoveryCallback` and
     `PrimitiveStepsCallback` replace the buffer of a model that was built without (`option_rollout_buffer`). For
-    ``Dict`` observations it is `OptionDictRolloutBuffer`.
+    ``Dict`` observations use `OptionDictRolloutBuffer`.
     """
 
 
@@ -271,11 +271,11 @@ class OptionDictRolloutBuffer(SMDPAdvantages, DictRolloutBuffer):
 
 
 _derived: dict[type[Any], type[Any]] = {RolloutBuffer: OptionRolloutBuffer, DictRolloutBuffer: OptionDictRolloutBuffer}
-"""The class that replaces each stock one. sb3-contrib may not be installed, so its buffers are added when met."""
+"""The class that replaces each stock class. sb3-contrib may not be installed, so its buffers are added when met."""
 
 
 def option_rollout_buffer(model: BaseAlgorithm) -> SMDPAdvantages | None:
-    """The model's rollout buffer, after one of SB3 or sb3-contrib was replaced by one that discounts with γᵏ.
+    """Return the model's rollout buffer, after replacing one of SB3 or sb3-contrib with one that discounts with γᵏ.
 
     MaskablePPO and RecurrentPPO get a class derived from their own. RecurrentPPO's LSTM sees the observations at
     decisions only.

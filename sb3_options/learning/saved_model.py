@@ -1,7 +1,7 @@
-"""Options inside SB3's ``model.zip``: a model that has learned to choose options is nothing without them.
+"""Options inside SB3's ``model.zip``: a model that has learned to choose options is useless without them.
 
-SB3's ``save`` writes the attributes of a model, and its ``load`` gives them back. So a model carries the content of its
-options file as text: whoever saves it saves the options, and a callback can put them back into an environment.
+SB3's ``save`` writes the attributes of a model, and its ``load`` restores them. So a model carries the content of its
+options file as text. Saving the model saves the options, and a callback can put them back into an environment.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ M = TypeVar("M", bound=BaseAlgorithm)
 
 
 def load_model(algorithm: type[M], path: str | os.PathLike[str], env: gym.Env[Any, Any] | VecEnv, **kwargs: Any) -> M:
-    """Load a model and put its options into the environment it is to act in.
+    """Load a model, and put its options into the environment it is to act in.
 
-    A ``Monitor`` above them, as SB3 puts around an environment
-    that has none, counts primitive steps. SB3's ``load`` unpickles: use it for files that you trust.
+    A ``Monitor`` above the options, such as SB3 puts around an environment without one, counts primitive steps. SB3's
+    ``load`` unpickles: use it for files that you trust.
 
     Args:
         algorithm: ``DQN``, ``MaskablePPO`` …
-        path: Of a ``model.zip`` that was saved while a callback of this library was with the model, or after that.
-        env: Wrapped in `OptionsWrapper`.
-        **kwargs: For ``algorithm.load``.
+        path: File ``model.zip``, saved during or after a training with a callback of this library.
+        env: Environment in an `OptionsWrapper`.
+        **kwargs: Arguments of ``algorithm.load``.
 
     Returns:
         The model, with ``env`` as its environment.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds no options, it does not fit the environment, or its weights are not finite.
+        ValueError: The file holds no options or does not fit the environment, or its weights are not finite.
     """
     path = Path(path)
     if not path.is_file() and path.suffix != ".zip":
@@ -67,15 +67,15 @@ def check_finite(model: BaseAlgorithm, path: Path) -> None:
 def load_options(source: Source, env: gym.Env[Any, Any] | VecEnv) -> None:
     """Put the options of a file into the slots of an environment, also in worker processes.
 
-    A ``Monitor`` above the options counts primitive steps from then on, and sums their rewards undiscounted.
+    A ``Monitor`` above the options then counts primitive steps, and sums their rewards undiscounted.
 
     Args:
         source: Path of an options file or of a ``model.zip``.
-        env: Wrapped in `OptionsWrapper`.
+        env: Environment in an `OptionsWrapper`.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds no options, these do not fit, or the environment is not wrapped.
+        ValueError: The file holds no options, these do not fit, or the environment is not wrapped.
     """
     content = content_in(source)
     venv = env if isinstance(env, VecEnv) else DummyVecEnv([lambda: env])
@@ -98,10 +98,10 @@ def _put(content: bytes, venv: VecEnv) -> None:
 
 
 def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
-    """Put the options that a model carries into those environments that lack them.
+    """Put the options that a model carries into environments that lack them.
 
-    SB3 has loaded it, or ``set_env`` gave it other environments, whose slots are all empty. There hand-made options
-    alone are missed with a warning.
+    Either SB3 has loaded the model, or ``set_env`` gave it other environments with only empty slots. If only hand-made
+    options are missing in the second case, there is just a warning.
     """
     text = getattr(model, CARRIED, None)
     known = _carried_for.get(model)
@@ -115,10 +115,10 @@ def put_back(model: BaseAlgorithm, venv: VecEnv) -> None:
 
 
 def keep_options(model: BaseAlgorithm, bank: OptionBank) -> None:
-    """Let the model carry the options of its environment, as they are now."""
+    """Let the model carry the present options of its environment."""
     setattr(model, CARRIED, packed_text(bank.content()))
     _carried_for[model] = weakref.ref(cast("VecEnv", model.get_env()))
 
 
 _carried_for: weakref.WeakKeyDictionary[BaseAlgorithm, weakref.ref[VecEnv]] = weakref.WeakKeyDictionary()
-"""The environment that holds what a model carries; none for a model that SB3 has just loaded."""
+"""The environment that holds the options that a model carries; none for a model that SB3 has just loaded."""

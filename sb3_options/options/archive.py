@@ -1,4 +1,4 @@
-"""Where the content of an options file is: in a file of its own, or in the ``model.zip`` of a model that uses it."""
+"""Finds the content of an options file: in its own file, or in the ``model.zip`` of a model that uses it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NAME = "options.safetensors"  # of the file in the folder of a run
 CARRIED = "carried_options"  # attribute of a model, and entry of a ``model.zip``'s ``data``, with the content as text
 
 MAX_BYTES = 1 << 30
-"""Largest content that is unpacked from a ``model.zip``, so that a small file cannot fill the memory."""
+"""Largest content that is unpacked from a ``model.zip``: a small file must not fill the memory."""
 
 NO_OPTIONS_FILE = "is no options file, or it is damaged"
 
@@ -25,12 +25,12 @@ Source: TypeAlias = str | os.PathLike[str] | bytes
 
 
 def name_of(source: Source) -> str:
-    """What to call it in errors."""
+    """Return the name of a source for errors."""
     return "What the model carries" if isinstance(source, bytes) else os.fspath(source)
 
 
 def content_in(source: Source) -> bytes:
-    """The content of an options file, wherever it is. It is not checked, and nothing is unpickled."""
+    """Return the content of an options file from any source. It is not checked, and nothing is unpickled."""
     if isinstance(source, bytes):
         return source
     path = Path(source)
@@ -53,12 +53,12 @@ def content_in(source: Source) -> bytes:
 
 
 def packed_text(content: bytes) -> str:
-    """The content of an options file as text, which JSON takes."""
+    """Return the content of an options file as text that fits into JSON."""
     return base64.b64encode(zlib.compress(content)).decode("ascii")
 
 
 def unpacked_text(text: str) -> bytes:
-    """The inverse of `packed_text`."""
+    """Return the content that `packed_text` packed."""
     unpacker = zlib.decompressobj()
     content = unpacker.decompress(base64.b64decode(text, validate=True), MAX_BYTES)
     if not unpacker.eof:

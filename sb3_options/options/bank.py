@@ -1,4 +1,4 @@
-"""The slots behind the augmented actions."""
+"""The option slots behind the augmented actions."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from sb3_options.options.sealed import errors_of
 
 @dataclass(eq=False, repr=False)
 class OptionBank:
-    """Ordered slots: augmented action ``n_primitive + i`` is slot i, for ever.
+    """Ordered slots: augmented action ``n_primitive + i`` always is slot i.
 
-    The capacity never changes, so that the action space stays what it was under an algorithm, a worker process, a
-    replay buffer or a saved model while slots fill.
+    The capacity never changes. So the action space of an algorithm, a worker process, a replay buffer or a saved model
+    stays the same while slots fill.
 
     Args:
         n_primitive: Number of primitive actions, at least 1.
@@ -31,7 +31,7 @@ class OptionBank:
         feature_map: φ that discovered options are bound to when they are added.
         observation_size: Numbers in one flat observation; None accepts options for any.
         feature_size: Dimensions d of concept space; None accepts options for any.
-        signature: What observations its options act on, which `save` writes and `load` compares; None accepts any.
+        signature: Observations that the options act on, which `save` writes and `load` compares; None accepts any.
 
     Raises:
         ValueError: ``n_primitive`` < 1 or ``max_options`` < 0.
@@ -55,7 +55,7 @@ class OptionBank:
         self._forget_results()
 
     def copy(self) -> OptionBank:
-        """The same options in slots of its own."""
+        """Return a bank with the same options in slots of its own."""
         bank = OptionBank.__new__(OptionBank)
         bank.__dict__.update(self.__dict__, _slots=list(self._slots))
         return bank
@@ -100,13 +100,13 @@ class OptionBank:
         return option
 
     def bind(self, feature_map: FeatureMap | None) -> None:
-        """Take ``feature_map`` for the discovered options there are and those to come."""
+        """Use ``feature_map`` for present and future discovered options."""
         self.feature_map = feature_map
         self._slots = [option and self._bound(option) for option in self._slots]
         self._forget_results()
 
     def available(self, observations: Observations) -> BoolArray:
-        """Which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
+        """Return which augmented actions may start in each observation, shape (batch, n_primitive + max_options).
 
         Primitives are always available, options within their initiation sets, empty slots never.
         """
@@ -115,7 +115,7 @@ class OptionBank:
         return mask
 
     def available_slots(self, observations: Observations) -> BoolArray:
-        """Which options may start in each observation, shape (batch, max_options)."""
+        """Return which options may start in each observation, shape (batch, max_options)."""
         if self._by_data:
             return self._known(self._computed_slots, observations).copy()
         return self._computed_slots(observations)
@@ -128,7 +128,7 @@ class OptionBank:
 
     def _forget_results(self) -> None:
         self._by_data = all(isinstance(self._slots[slot], SubgoalOption) for slot in self.filled)
-        self._known: SingleCache[BoolArray] = SingleCache()  # a hand-made option may remember something
+        self._known: SingleCache[BoolArray] = SingleCache()  # a hand-made option may have a memory
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the discovered options to a safetensors file, atomically: arrays and JSON, nothing that can run.
@@ -139,12 +139,12 @@ class OptionBank:
             temporary.write_bytes(self.content())
 
     def content(self) -> bytes:
-        """What `save` writes."""
+        """Return the content that `save` writes."""
         learned = self.feature_map.arrays() if isinstance(self.feature_map, LearnedMap) else {}
         return content_of(self.slots, self.n_primitive, self.signature, learned)
 
     def load(self, source: Source) -> None:
-        """Fill the slots with the options of a file that `save` wrote, in the slots they were in.
+        """Load the options of a file that `save` wrote into the slots they were in.
 
         A hand-made option of the file must already be in its slot. Either everything is loaded or nothing is.
         """
@@ -182,7 +182,7 @@ class OptionBank:
     def _bound(self, option: Option) -> Option:
         if not isinstance(option, SubgoalOption) or self.feature_map is None:
             return option
-        if isinstance(self.feature_map, LearnedMap):  # it becomes another while it is learned
+        if isinstance(self.feature_map, LearnedMap):  # it changes while it is learned
             return option.bind(self.feature_map)
         if self._shared is None or self._shared.of != self.feature_map:
             self._shared = KnownFeatures(self.feature_map)
@@ -194,8 +194,8 @@ class OptionBank:
         self._forget_results()
 
     def __getstate__(self) -> dict[str, Any]:
-        # Functions may not travel between processes; whoever receives the bank has a feature map of its own. A learned
-        # one is data, and belongs to what `content` gives.
+        # Functions may not travel between processes; the receiver of the bank has its own feature map. A learned
+        # map is data, and belongs to `content`.
         learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
         return {**self.__dict__, "feature_map": learned, "_shared": None, "_known": SingleCache()}
 

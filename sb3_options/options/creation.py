@@ -1,4 +1,4 @@
-"""From a subgoal to an option, learned from saved trajectories, and learned anew from later ones."""
+"""Learns an option for a subgoal from saved trajectories, and relearns it from later ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Transitions, contained, initiation_set, transitions_to
 
 MIN_REACH = 0.5
-"""On a group of features I keeps the states from where the saved steps promise to reach the subgoal so surely."""
+"""Least probability, by the saved steps, of reaching the subgoal from a state of I on a group of features."""
 
 NETWORK_UPDATES = 2000
 """Gradient steps for a network, each of a few milliseconds at most."""
@@ -34,13 +34,13 @@ def learn_option(
     *,
     name: str = "subgoal",
 ) -> SubgoalOption | None:
-    """An option that reaches a region, made from saved trajectories, not yet bound to a feature map.
+    """Return an option that reaches a region, learned from saved trajectories, not yet bound to a feature map.
 
     On a group of features the initiation set has the features that the group sees, and the policy acts on these alone,
-    whatever ``policy_input`` says. The option lasts ``initiation_steps`` at most, within which it has to promise to
-    reach its subgoal: what it does not see can make it go in a circle.
+    whatever ``policy_input`` says. The option then lasts at most ``initiation_steps``, and has to promise to reach its
+    subgoal within these: features that it does not see can make it go in a circle.
 
-    None if no saved trajectory leads to the subgoal, or if none promises to reach it often enough (`MIN_REACH`).
+    Return None if no saved trajectory leads to the subgoal, or if none promises to reach it often enough (`MIN_REACH`).
     """
     trajectories = list(trajectories)
     if subgoal.group is not None:
@@ -77,11 +77,11 @@ def _learn_policy(
 
 
 def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
-    """An option from elsewhere together with one for the same subgoal that was learned here.
+    """Join an option from elsewhere with one that was learned here for the same subgoal.
 
-    The trajectories that the first was made from are not at hand, so nothing can be learned from all of them: I is the
-    union of both, and π that of the later one in the states that it knows. The first one itself if a policy is not a
-    table or they act on different things.
+    The trajectories of the first option are not at hand, so nothing can be learned from all of them. I is the union of
+    both. π is that of the later option in the states that it knows. Return the first option if a policy is not a table
+    or if they act on different inputs.
     """
     known, new = option.option_policy, later.option_policy
     if not (isinstance(known, TabularPolicy) and isinstance(new, TabularPolicy)):
@@ -96,14 +96,14 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
     return other
 
 
-FIRST_GROWTH = 5  # an option from elsewhere counts as made from this many trajectories
+FIRST_GROWTH = 5  # an adopted option counts as made from this many trajectories
 
 
 class OptionGrowth:
-    """Says when an option is learned anew: each time twice as many trajectories have reached its subgoal.
+    """Says when an option is relearned: each time twice as many trajectories have reached its subgoal.
 
     An option is made from the few trajectories saved until then, and its initiation set covers no more than these.
-    Learning it anew at every doubling costs at most as much as learning two options from all trajectories.
+    Relearning it at every doubling costs at most as much as learning two options from all trajectories.
     """
 
     STATE = ("_reached", "_learned_from")
@@ -118,19 +118,19 @@ class OptionGrowth:
         self._reached[slot] = self._learned_from[slot] = reached
 
     def adopted(self, slot: int) -> None:
-        """Count from now on for an option that was made elsewhere."""
+        """Start counting for an option that was made elsewhere."""
         self._reached.setdefault(slot, 0)
         self._learned_from.setdefault(slot, FIRST_GROWTH)
 
     def forget(self, slot: int) -> None:
-        """Count no longer for an option that is closed."""
+        """Stop counting for a closed option."""
         self._reached.pop(slot, None)
         self._learned_from.pop(slot, None)
 
     def is_due(self, slot: int, subgoal: Region, trajectory: LabelledTrajectory) -> bool:
-        """Whether the option in ``slot`` is to be learned anew after one more trajectory: at every doubling.
+        """Count a trajectory, and return whether the option in ``slot`` is to be relearned: at every doubling.
 
-        Never an option that was neither `made` nor `adopted`.
+        Never relearn an option that was neither `made` nor `adopted`.
         """
         if slot not in self._reached:
             return False

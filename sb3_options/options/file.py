@@ -21,16 +21,16 @@ from sb3_options.options.sealed import Arrays, errors_of, sealed, unsealed
 
 MAX_SLOTS = 1_000_000  # each slot is an action, for which a network has an output
 FILE_FORMAT = "sb3-options 1"  # an optional entry such as ``made_for`` needs no new number
-MAP = "feature_map"  # before the names of arrays of a learned feature map. Slots have numbers
+MAP = "feature_map"  # prefix of the array names of a learned feature map. Slots have numbers
 
 
 class SpaceSignature(NamedTuple):
     """The observations that options act on.
 
     Attributes:
-        space: The observation space, for people.
+        space: The observation space in readable form.
         digest: Equal for two spaces exactly if type, shape, dtype and bounds are, part by part.
-        features: Where the feature map comes from (`features.FeatureKind`); None where there is none.
+        features: Origin of the feature map (`features.FeatureKind`); None if there is none.
     """
 
     space: str
@@ -39,11 +39,11 @@ class SpaceSignature(NamedTuple):
 
 
 def check_signature(made_for: SpaceSignature, task: SpaceSignature, policy_inputs: set[PolicyInput]) -> None:
-    """Refuse options that were made for other observations: those of a file, and those of this task.
+    """Refuse options of a file that were made for other observations than those of this task.
 
-    A policy that acts on the observation needs the same space, one that acts on features does not. Both need the same
-    kind of feature map, because the subgoals lie in its space. A map that the user passed is taken to be that one,
-    unless that was learned.
+    A policy that acts on the observation needs the same space; one that acts on features does not. Both need the same
+    kind of feature map, because the subgoals lie in its space. A map that the user passed counts as the same map,
+    unless the options were made with a learned one.
     """
     if "observation" in policy_inputs and made_for.digest != task.digest:
         bounds = "" if made_for.space != task.space else ", whose bounds differ"
@@ -52,7 +52,7 @@ def check_signature(made_for: SpaceSignature, task: SpaceSignature, policy_input
             "options whose policies act on features (policy_input='features') move between tasks that are observed "
             "differently: learn them so, or make both environments give the same observations"
         )
-    given = task.features == "given" and made_for.features != LEARNED  # of which the file holds the map
+    given = task.features == "given" and made_for.features != LEARNED  # its map is in the file
     if policy_inputs and not given and task.features != made_for.features:
         name = f'"{made_for.features}"' if made_for.features == LEARNED else "..."
         raise ValueError(
@@ -72,7 +72,7 @@ _OF_KIND: dict[str | None, str] = {
 
 
 class Entry(BaseModel):
-    """What a file says of a discovered option besides its arrays."""
+    """Content of a file about one discovered option, besides its arrays."""
 
     name: str
     max_duration: Annotated[int, Field(ge=1)]
@@ -82,9 +82,9 @@ class Entry(BaseModel):
 
 
 class About(BaseModel):
-    """What a file says besides its arrays."""
+    """Content of a file besides its arrays."""
 
-    n_primitive: Annotated[int, Field(ge=1, le=MAX_SLOTS)]  # before anything is made of so many
+    n_primitive: Annotated[int, Field(ge=1, le=MAX_SLOTS)]  # checked before anything of this size is made
     max_options: Annotated[int, Field(ge=0, le=MAX_SLOTS)]
     slots: dict[Annotated[int, Field(ge=0)], dict[str, Any]]
     made_for: SpaceSignature | None = None
@@ -93,9 +93,9 @@ class About(BaseModel):
 def content_of(
     slots: Sequence[Option | None], n_primitive: int, signature: SpaceSignature | None, learned_map: Arrays
 ) -> bytes:
-    """What a file says: the arrays of the discovered options and the names of the hand-made ones.
+    """Return the content of a file: the arrays of the discovered options and the names of the hand-made ones.
 
-    Without what a learned map consists of, its options are of no use.
+    It includes a learned feature map, without which its options are useless.
     """
     tensors: Arrays = {f"{MAP}.{name}": array for name, array in learned_map.items()}
     entries: dict[str, Any] = {}
@@ -112,7 +112,7 @@ def content_of(
 
 
 class OptionsFile(NamedTuple):
-    """What an options file says, checked but for the arrays of its options."""
+    """Content of an options file, checked except for the arrays of its options."""
 
     name: str  # for errors
     n_primitive: int
@@ -125,17 +125,17 @@ class OptionsFile(NamedTuple):
 
     @property
     def slots(self) -> set[int]:
-        """Those it has options for."""
+        """Slots that the file has options for."""
         return {*self.entries, *self.hand_made}
 
     def feature_map(self) -> Arrays:
-        """What its learned feature map consists of; nothing if it has none."""
+        """Return the arrays of its learned feature map, if it has one."""
         return _named(f"{MAP}.", self.tensors)
 
     def options(
         self, *, observation_size: int | None = None, feature_size: int | None = None
     ) -> dict[int, SubgoalOption]:
-        """The discovered options by slot, not bound to a feature map; a size of None takes any."""
+        """Return the discovered options by slot, not bound to a feature map; a size of None accepts any."""
         options = {}
         for slot, entry in self.entries.items():
             arrays = {name: np.asarray(a, dtype=np.float64) for name, a in _named(f"{slot}.", self.tensors).items()}
@@ -145,7 +145,7 @@ class OptionsFile(NamedTuple):
 
 
 def opened(source: Source) -> OptionsFile:
-    """What an options file says."""
+    """Read an options file."""
     content = content_in(source)
     name = name_of(source)
     with errors_of(name, NO_OPTIONS_FILE):
@@ -159,12 +159,12 @@ def opened(source: Source) -> OptionsFile:
 
 
 def _named(first: str, tensors: Arrays) -> Arrays:
-    """The arrays whose names begin so, by the rest of the name."""
+    """Return the arrays whose names begin with ``first``, by the rest of the name."""
     return {name.removeprefix(first): array for name, array in tensors.items() if name.startswith(first)}
 
 
 def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
-    """A discovered option as JSON and arrays; `_decode` is the inverse."""
+    """Return a discovered option as JSON and arrays; `_decode` is the inverse."""
     arrays = {
         "subgoal": option.subgoal.points,
         "subgoal_scale": option.subgoal.scale,
@@ -188,7 +188,7 @@ def _encode(option: SubgoalOption) -> tuple[dict[str, Any], Arrays]:
 def _decode(
     entry: Entry, arrays: Arrays, n_primitive: int, observation_size: int | None, feature_size: int | None
 ) -> SubgoalOption:
-    """The option that `_encode` was given."""
+    """Return the option that `_encode` encoded."""
     group = entry.group
     if group is not None and feature_size is not None:
         checked_groups([group], feature_size)
@@ -206,7 +206,7 @@ def _decode(
 
 
 def _region(arrays: Arrays, name: str, entry: Entry, group: FeatureGroup | None, n_features: int | None) -> Region:
-    """A region in the features of a group, or in so many; None takes any number."""
+    """Return a region in a group's features, or in ``n_features``; None accepts any number."""
     points, scale, normal = arrays[name], arrays[f"{name}_scale"], arrays.get(f"{name}_normal")
     n = len(group.features) if group is not None else points.shape[1] if n_features is None else n_features
     fits = points.shape == (len(points), n) and scale.shape == (n,)

@@ -1,4 +1,4 @@
-"""Steps that nobody took: an action that moves a thing by one cell near it does so farther away, too."""
+"""Imagines steps that nobody took: an action that moves a nearby thing by one cell does so farther away, too."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import STEP_REWARD, Transitions
 
-LEAST_STEPS = 20  # saved steps of an action in a context; fewer show no rule
-LEAST_SHARE = 0.9  # of these, what the commonest displacement must have
-MOST_POINTS = 2000  # more are not imagined
+LEAST_STEPS = 20  # least saved steps of an action in a context; fewer show no rule
+LEAST_SHARE = 0.9  # least share of these with the commonest displacement
+MOST_POINTS = 2000  # at most this many are imagined
 
 
 class Displacement(NamedTuple):
-    """What an action does to the coordinates (c,) in a context, the other features before and after it (k − c,)."""
+    """Effect of an action on the coordinates (c,) in a context: the other features before and after it (k − c,)."""
 
     action: int
     context: FloatArray
@@ -30,15 +30,15 @@ class Displacement(NamedTuple):
 def imagined_farther(
     initiation: Region, transitions: Transitions, policy: TabularPolicy, settings: OptionLearningSettings
 ) -> tuple[Region, TabularPolicy]:
-    """I and policy, extended to where nobody was by imagined steps; the same ones where nothing is to be imagined.
+    """Extend I and the policy by imagined steps to states that nobody visited, or return them unchanged.
 
-    Small rooms show what is near. But where an action displaces a thing that is seen, it does so by the same vector
-    wherever the thing is, as long as the other features (the context: what is visible, whether the cell ahead is free)
-    stay what they were. So from each state of I one goes backwards, along the displacements that nearly all saved steps
-    agree on, to states that were never seen. An action there is worth what the best known way on from it is:
-    Q(s, a) = r + γ max Q(s', ·), in sweeps until nothing gets better. This is planning with a model in the manner of
-    linear Dyna (Sutton, Szepesvári, Geramifard & Bowling 2008); the model is that displacement. States that were seen
-    are left as they are. As many steps are imagined as a run of the option may last.
+    Small rooms show only nearby states. But if an action displaces a visible thing, it does so by the same vector
+    wherever the thing is, as long as the other features stay the same. (They are the context: what is visible, whether
+    the cell ahead is free.) So the search goes backwards from each state of I to unseen states, along displacements
+    that nearly all saved steps agree on. An action there is worth as much as the best known way on from it:
+    Q(s, a) = r + γ max Q(s', ·), in sweeps until nothing improves. This is planning with a model in the manner of
+    linear Dyna (Sutton, Szepesvári, Geramifard & Bowling 2008), and the model is that displacement. Seen states stay as
+    they are. As many steps are imagined as a run of the option may last.
     """
     group = initiation.group
     if group is None or not group.coordinates or not len(initiation.points):
@@ -74,7 +74,7 @@ def imagined_farther(
 
 
 def displacements(transitions: Transitions, moving: BoolArray) -> list[Displacement]:
-    """The rules that nearly all saved steps agree on, ``moving`` saying which features are coordinates, (k,)."""
+    """Return the rules that nearly all saved steps agree on; ``moving`` says which features are coordinates, (k,)."""
     states = flatten(transitions.states) + 0.0
     steps = np.stack([transitions.began, transitions.actions, transitions.led], axis=1)
     distinct, counts = np.unique(steps, axis=0, return_counts=True)

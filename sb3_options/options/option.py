@@ -18,16 +18,16 @@ from sb3_options.options.policies import OptionPolicy, PolicyInput
 from sb3_options.state import storable
 
 CACHE_BYTES = 4 << 20  # memory of each cache of a `SubgoalOption`, observations included; approximate
-CACHE_ENTRY_BYTES = 400  # memory that one cached result takes besides its observation; measured, rounded up
+CACHE_ENTRY_BYTES = 400  # memory of one cached result besides its observation; measured, rounded up
 
 Result = TypeVar("Result")
 
 
 class SingleCache(Generic[Result]):
-    """What a function of a batch gives for single observations. Small environments repeat theirs.
+    """Caches a function's results for single observations. Small environments repeat theirs.
 
-    The function is handed in with every call: an option whose caches held its own methods would be garbage that only
-    the garbage collector frees, with its table and all results, each time a later version takes its place.
+    The function is passed with every call. If an option's caches held its own methods, only the garbage collector could
+    free the option. Its table and all results would linger each time a later version replaces it.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class SingleCache(Generic[Result]):
         self._bytes = 0
 
     def __call__(self, compute: Callable[[Observations], Result], observations: Observations) -> Result:
-        """The result of ``compute``, always the same function; kept if the batch is a single observation."""
+        """Return the result of ``compute``, always the same function, and cache it for a single observation."""
         array = observations if type(observations) is np.ndarray else None  # without calls: this runs in every step
         if (obs_batch.batch_size(observations) if array is None else len(array)) != 1:
             return compute(observations)
@@ -58,24 +58,24 @@ class KnownFeatures:
         self._known: SingleCache[FloatArray] = SingleCache()
 
     def __call__(self, observations: Observations) -> FloatArray:
-        """φ of a batch of observations, (batch, d)."""
+        """Return φ of a batch of observations, (batch, d)."""
         return self._known(self.of, observations)
 
 
 class Option:
     """A temporally extended action: where it may start, what it does, and where it ends.
 
-    All three are functions of a batch of the observations that `OptionsWrapper` sees. The wrapper ends an option in
-    the first state after at least one step where ``termination`` says so, or which lies outside the initiation set,
-    or after ``max_duration`` steps; so ``initiation`` must hold in every state where the option may go on. In worker
-    processes (``SubprocVecEnv``) all three must be functions of a module: lambdas and closures cannot travel.
+    All three are functions of a batch of the observations that `OptionsWrapper` sees. The wrapper ends an option after
+    at least one step: when ``termination`` says so, outside the initiation set, or after ``max_duration`` steps. So
+    ``initiation`` must hold in every state where the option may go on. In worker processes (``SubprocVecEnv``) all
+    three must be functions of a module: lambdas and closures cannot travel.
 
     Args:
         initiation: I. Observations → bool, shape (batch,).
         policy: π. Observations → primitive actions, shape (batch,).
         termination: β inside I. Observations → probability of ending (or bool), shape (batch,).
         max_duration: Longest run, in primitive steps, at least 1.
-        name: For people, in logs and figures.
+        name: Name in logs and figures.
 
     Raises:
         ValueError: ``max_duration`` < 1.
@@ -102,22 +102,22 @@ class Option:
         self.name = name
 
     def initiation(self, observations: Observations) -> BoolArray:
-        """Whether each observation lies in I, shape (batch,)."""
+        """Return whether each observation lies in I, shape (batch,)."""
         return self._checked("initiation", self._initiation(observations), observations).astype(bool)
 
     def policy(self, observations: Observations) -> IntArray:
-        """The primitive action π takes in each observation, shape (batch,)."""
+        """Return the primitive action of π in each observation, shape (batch,)."""
         actions = self._checked("policy", self._policy(observations), observations)
         if not np.array_equal(actions, np.round(actions)):
             raise ValueError(f"policy of option {self.name!r} must return whole numbers, got {actions}.")
         return actions.astype(np.int64)
 
     def termination(self, observations: Observations) -> FloatArray:
-        """β inside I: the probability of ending in each observation, shape (batch,)."""
+        """Return β inside I: the probability of ending in each observation, shape (batch,)."""
         return self._checked("termination", self._termination(observations), observations).astype(np.float64)
 
     def membership(self, observations: Observations) -> tuple[BoolArray, FloatArray]:
-        """`initiation` and `termination` of each observation, (batch,) each."""
+        """Return `initiation` and `termination` of each observation, (batch,) each."""
         return self.initiation(observations), self.termination(observations)
 
     def _checked(self, what: str, value: npt.ArrayLike, observations: Observations) -> npt.NDArray[Any]:
@@ -132,7 +132,7 @@ class Option:
 
 
 def checked_duration(max_duration: int) -> int:
-    """``max_duration`` itself, if it is a whole number of at least 1."""
+    """Return ``max_duration`` if it is a whole number of at least 1."""
     if not (is_number(max_duration) and max_duration >= 1 and max_duration % 1 == 0):
         raise ValueError(f"max_duration must be a whole number of primitive steps, at least 1, got {max_duration!r}.")
     return int(max_duration)
@@ -141,17 +141,17 @@ def checked_duration(max_duration: int) -> int:
 @storable
 @dataclass(eq=False, repr=False)
 class SubgoalOption(Option):
-    """An option made of data only: reach a region of concept space, from within an initiation set.
+    """An option that is made only of data, and reaches a region of concept space from within an initiation set.
 
     Args:
-        subgoal: β = 1 inside it.
+        subgoal: β = 1 inside this region.
         initiation_set: I is this region without the subgoal: at the subgoal there is nothing left to reach.
         option_policy: π.
-        policy_input: Whether π acts on the observation or on its features φ, of which it sees those of the initiation
-            set's group, if that has one.
+        policy_input: Whether π acts on the observation or on its features φ. Of these it sees only the group of the
+            initiation set, if that has one.
         feature_map: φ; None until `bind` sets it, because functions do not travel in files or between processes.
         max_duration: Longest run, in primitive steps, at least 1.
-        name: For people, in logs and figures.
+        name: Name in logs and figures.
 
     Raises:
         ValueError: ``max_duration`` < 1.
@@ -167,7 +167,7 @@ class SubgoalOption(Option):
     name: str = "subgoal"
 
     def __post_init__(self, feature_map: FeatureMap | None) -> None:
-        """Bind it to φ, if there is one."""
+        """Bind the option to φ, if there is one."""
         self.max_duration = checked_duration(self.max_duration)
         self._feature_map = feature_map
         self._forget_results()
@@ -180,38 +180,38 @@ class SubgoalOption(Option):
         self._actions_at: SingleCache[IntArray] = SingleCache()
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
-        """The same option with φ set."""
+        """Return the same option with φ set."""
         bound = copy.copy(self)
         bound._feature_map = feature_map
         bound._places, bound._actions_at = self._places, self._actions_at
         return bound
 
     def with_policy(self, option_policy: OptionPolicy) -> SubgoalOption:
-        """The same option with another π, not yet bound to φ."""
+        """Return the same option with another π, not yet bound to φ."""
         other = copy.copy(self)  # neither cache nor φ is copied
         other.option_policy = option_policy
         return other
 
     def with_regions(self, subgoal: Region, initiation_set: Region) -> SubgoalOption:
-        """The same option with subgoal and I elsewhere in concept space, not yet bound to φ."""
+        """Return the same option with subgoal and I elsewhere in concept space, not yet bound to φ."""
         other = copy.copy(self)
         other.subgoal, other.initiation_set = subgoal, initiation_set
         return other
 
     def initiation(self, observations: Observations) -> BoolArray:
-        """Whether each observation lies in I, shape (batch,)."""
+        """Return whether each observation lies in I, shape (batch,)."""
         return self._membership(self._computed_membership, observations)[0].copy()
 
     def policy(self, observations: Observations) -> IntArray:
-        """The greedy action of the option's value function, shape (batch,)."""
+        """Return the greedy action of the option's value function, shape (batch,)."""
         return self._greedy(self._computed_actions, observations).copy()
 
     def termination(self, observations: Observations) -> FloatArray:
-        """1 at the subgoal, else 0, shape (batch,)."""
+        """Return 1 at the subgoal, else 0, shape (batch,)."""
         return self._membership(self._computed_membership, observations)[1].astype(np.float64)
 
     def membership(self, observations: Observations) -> tuple[BoolArray, FloatArray]:
-        """Both at once."""
+        """Return `initiation` and `termination` at once."""
         inside, reached = self._membership(self._computed_membership, observations)
         return inside.copy(), reached.astype(np.float64)
 

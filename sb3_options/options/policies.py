@@ -1,4 +1,4 @@
-"""The policies π of discovered options: greedy in a value function, stored as plain arrays."""
+"""Policies π of discovered options: greedy in a value function, stored as plain arrays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sb3_options.state import storable
 class TabularPolicy:
     """Greedy in a table of action values (m, n_primitive) of known observations as flat rows (m, size).
 
-    An observation that is not in the table takes the action of the nearest one that is. Actions never tried have −∞.
+    An observation that is not in the table takes the action of the nearest one in it. Untried actions have −∞.
     """
 
     STATE = ("states", "values")
@@ -29,15 +29,15 @@ class TabularPolicy:
         self._row_of = {key: i for i, key in enumerate(row_keys(self.states))}
 
     def actions(self, observations: Observations) -> IntArray:
-        """The greedy primitive action in each observation, shape (batch,)."""
+        """Return the greedy primitive action in each observation, shape (batch,)."""
         return self._greedy[self._rows(observations)]
 
     def best_values(self, observations: Observations) -> FloatArray:
-        """The value of that action, shape (batch,)."""
+        """Return the value of that action, shape (batch,)."""
         return np.asarray(self.values.max(axis=1)[self._rows(observations)])
 
     def _rows(self, observations: Observations) -> IntArray:
-        """The row of each observation, or of the nearest one in the table, shape (batch,)."""
+        """Return the row of each observation, or of the nearest one in the table, shape (batch,)."""
         rows = flatten(observations) + 0.0
         keys = row_keys(rows) if len(rows) > 1 else [row.tobytes() for row in rows]
         known = np.array([self._row_of.get(key, -1) for key in keys], dtype=np.int64)
@@ -52,7 +52,7 @@ class TabularPolicy:
         return known
 
     def rows_for(self, observations: Observations) -> tuple[IntArray, FloatArray, FloatArray]:
-        """The table extended by distinct observations: their rows (n,), and copies of states and values."""
+        """Extend the table by distinct observations: return their rows (n,), and copies of states and values."""
         flat = flatten(observations) + 0.0
         rows = np.array([self._row_of.get(key, -1) for key in row_keys(flat)], dtype=np.int64)
         new = np.flatnonzero(rows < 0)
@@ -66,15 +66,15 @@ class TabularPolicy:
         return int(cdist(row[None], self.states).argmin())
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Everything the policy consists of, by name."""
+        """Return all arrays of the policy, by name."""
         return {"table_states": self.states, "table_values": self.values}
 
 
 @storable
 class NetworkPolicy:
-    """Greedy in a small network of action values, for observations that do not repeat: layers with ReLU between them.
+    """Greedy in a small network of action values, with ReLU between its layers, for observations that do not repeat.
 
-    The forward pass is numpy's: for one observation it is several times faster than torch's.
+    The forward pass uses numpy: for one observation it is several times faster than torch.
     """
 
     STATE = ("mean", "std", "weights", "biases")
@@ -86,11 +86,11 @@ class NetworkPolicy:
         self.biases = biases
 
     def actions(self, observations: Observations) -> IntArray:
-        """The greedy primitive action in each observation, shape (batch,)."""
+        """Return the greedy primitive action in each observation, shape (batch,)."""
         return np.asarray(self._values(observations).argmax(axis=1))
 
     def best_values(self, observations: Observations) -> FloatArray:
-        """The value of that action, shape (batch,)."""
+        """Return the value of that action, shape (batch,)."""
         return np.asarray(self._values(observations).max(axis=1))
 
     def _values(self, observations: Observations) -> FloatArray:
@@ -100,20 +100,20 @@ class NetworkPolicy:
         return hidden @ self.weights[-1] + self.biases[-1]
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Everything the policy consists of, by name."""
+        """Return all arrays of the policy, by name."""
         layers = {f"network_weight_{i}": w for i, w in enumerate(self.weights)}
         layers |= {f"network_bias_{i}": b for i, b in enumerate(self.biases)}
         return {"network_mean": self.mean, "network_std": self.std, **layers}
 
 
 OptionPolicy: TypeAlias = TabularPolicy | NetworkPolicy
-"""What a `SubgoalOption` acts by; "observations" are features where it acts on those."""
+"""Policy of a `SubgoalOption`; its "observations" are features if it acts on those."""
 
 
 def from_arrays(
     arrays: dict[str, npt.NDArray[np.float64]], observation_size: int | None, n_primitive: int
 ) -> OptionPolicy:
-    """The inverse of ``arrays``, for observations of any size where ``observation_size`` is None."""
+    """Return the policy of ``arrays``, for observations of any size if ``observation_size`` is None."""
     numbers = "some" if observation_size is None else observation_size
     expected = f"expected {numbers} numbers an observation and {n_primitive} primitive actions, all finite"
     if "table_states" in arrays:

@@ -1,4 +1,4 @@
-"""From where the saved steps of an option's policy promise to reach its subgoal."""
+"""Estimates from where an option's policy reaches its subgoal, by the saved steps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.tasks import SUBGOAL_REWARD, Transitions
 
 IMAGINED_FAILURES = 1.0
-"""Steps that fail, imagined for each state and action beside those that were seen: few seen steps promise little."""
+"""Failing steps, imagined for each state and action in addition to seen steps: few seen steps promise little."""
 
 
 def reach_probabilities(
@@ -22,7 +22,7 @@ def reach_probabilities(
     steps: int,
     inside: BoolArray | None = None,
 ) -> FloatArray:
-    """The probability of reaching the subgoal within some steps, for each of ``transitions.states``, (m,).
+    """Return the probability of reaching the subgoal within ``steps``, for each of ``transitions.states``, (m,).
 
     The saved steps in which the policy's action was taken make a Markov chain: P(s) = Σ P(s') / (n + 1) over the n
     steps from s, with P = 1 at the subgoal and 0 where the option ends. The 1 is a step that fails
@@ -50,10 +50,10 @@ def reliable_part(
     least: float,
     steps: int,
 ) -> Region:
-    """The states of an initiation set from where the subgoal is reached often enough without leaving them.
+    """Return the states of an initiation set that reach the subgoal often enough without leaving them.
 
-    On a few features, states that look the same need not be the same: a step ahead leads to a door, or nowhere,
-    because a wall that they do not tell of is in the way. A policy that is greedy in these then stays where it is.
+    On a few features, states that look the same may differ: a step ahead leads to a door, or nowhere, because of a wall
+    that the features do not show. A policy that is greedy in these features then stays where it is.
     """
     states = flatten(transitions.states) + 0.0  # -0.0 and 0.0 are one state
     inside = np.ones(len(states), dtype=bool)

@@ -1,4 +1,4 @@
-"""The policy of an option by experience replay: Q-learning into a table or a network."""
+"""Learns an option's policy by experience replay: Q-learning into a table or a network."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.tasks import Transitions
 
 HIDDEN = 64  # units of each of the network's two hidden layers
-BATCH = 128  # transitions of a gradient step
+BATCH = 128  # transitions per gradient step
 LEARNING_RATE = 1e-3  # of Adam
-TARGET_SYNC = 100  # gradient steps between two updates of the state values that targets are made of
+TARGET_SYNC = 100  # gradient steps between two updates of the state values in the targets
 
 
 def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: float, sweeps: int) -> TabularPolicy:
-    """Q-learning by repeated replay of all transitions (Lin 1992), with step size 1/N(s, a).
+    """Run Q-learning by repeated replay of all transitions (Lin 1992), with step size 1/N(s, a).
 
     Every sweep sets Q(s, a) to the mean of r + γ max_a' Q(s', a') over the transitions of (s, a), without the second
-    term where the task ends: the fixed point of experience replay. An action that was never tried in a state keeps
-    −∞. So does an action that only led to states in which no saved trajectory acted: what follows them is unknown.
-    It stops when nothing changes, or after ``sweeps``.
+    term where the task ends. This is the fixed point of experience replay. An action that was never tried in a state
+    keeps −∞. So does an action that only led to states in which no saved trajectory acted: what follows them is
+    unknown. Replay stops when nothing changes, or after ``sweeps``.
     """
     states = flatten(transitions.states)
     n_states = len(states)
@@ -47,7 +47,7 @@ def replay_into_table(transitions: Transitions, n_primitive: int, *, gamma: floa
 
 
 def _known(transitions: Transitions, n_states: int) -> BoolArray:
-    """Which steps end the task or lead to a state where such steps begin, shape (n,)."""
+    """Return which steps end the task or lead to a state where such steps begin, shape (n,)."""
     known = np.ones(len(transitions.began), dtype=bool)
     while True:
         acted_in = np.zeros(n_states, dtype=bool)
@@ -61,7 +61,7 @@ def _known(transitions: Transitions, n_states: int) -> BoolArray:
 def replay_into_network(
     transitions: Transitions, n_primitive: int, *, gamma: float, updates: int, generator: torch.Generator
 ) -> NetworkPolicy:
-    """Q-learning by replay (Lin 1992) into a network with two hidden layers and a target network.
+    """Run Q-learning by replay (Lin 1992) into a network with two hidden layers and a target network.
 
     The generator draws the first weights and the batches of the ``updates`` gradient steps.
     """
@@ -77,7 +77,7 @@ def replay_into_network(
     sizes = [inputs.shape[1], HIDDEN, HIDDEN, n_primitive]
     online = torch.nn.Sequential()
     for i, (n_in, n_out) in enumerate(pairwise(sizes)):
-        # Initialising it would draw from torch's global generator, which the agent's own training uses.
+        # Default initialisation would draw from torch's global generator, which the agent's own training uses.
         layer = torch.nn.utils.skip_init(torch.nn.Linear, n_in, n_out)  # type: ignore[no-untyped-call]  # unannotated
         torch.nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu", generator=generator)
         torch.nn.init.zeros_(layer.bias)

@@ -25,12 +25,12 @@ DAMAGE = (
     SafetensorError, zipfile.BadZipFile, zlib.error, EOFError, OSError, MemoryError, RuntimeError,
     ValueError, TypeError, LookupError, AttributeError, OverflowError,
 )  # fmt: skip
-"""What readers of a damaged file raise, or of one that a stranger made up."""
+"""Errors that readers raise for a damaged file, or for one that a stranger made up."""
 
 
 @contextmanager
 def errors_of(name: str, what: str) -> Iterator[None]:
-    """Turn `DAMAGE` into a `ValueError` that says of which file, and ``what`` is wrong with it."""
+    """Turn `DAMAGE` into a `ValueError` that names the file and says ``what`` is wrong with it."""
     try:
         yield
     except DAMAGE as error:
@@ -40,18 +40,18 @@ def errors_of(name: str, what: str) -> Iterator[None]:
 
 
 def sealed(file_format: str, parts: Mapping[str, Any], arrays: Arrays) -> bytes:
-    """The content of a file with some JSON values and arrays; equal ones are equal bytes."""
+    """Return the content of a file with JSON values and arrays; equal values give equal bytes."""
     texts = {name: json.dumps(part) for name, part in parts.items()}
     content = to_safetensors(arrays, metadata={"format": file_format, **texts, "digest": digest(texts, arrays)})
     header, start = _header(content)
-    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))  # safetensors draws an order
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))  # safetensors' order is random
     text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 8)
     return len(text).to_bytes(8, "little") + text + content[start:]
 
 
 def unsealed(content: bytes, file_format: str) -> tuple[dict[str, Any], Arrays]:
-    """The inverse of `sealed`, which raises `DAMAGE`."""
+    """Return what `sealed` sealed, or raise `DAMAGE`."""
     arrays = {name: np.array(array) for name, array in from_safetensors(content).items()}
     texts = _header(content)[0].get("__metadata__", {})
     found = texts.pop("format", None)
@@ -63,7 +63,7 @@ def unsealed(content: bytes, file_format: str) -> tuple[dict[str, Any], Arrays]:
 
 
 def digest(texts: Mapping[str, str], arrays: Arrays) -> str:
-    """SHA-256 of everything that a file says."""
+    """Return the SHA-256 of all texts and arrays of a file."""
     sha256 = hashlib.sha256("".join(texts[name] for name in sorted(texts)).encode())
     for name in sorted(arrays):
         sha256.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode())
@@ -72,6 +72,6 @@ def digest(texts: Mapping[str, str], arrays: Arrays) -> str:
 
 
 def _header(content: bytes) -> tuple[dict[str, Any], int]:
-    """The header of a safetensors file, and where the arrays begin."""
+    """Return the header of a safetensors file, and the offset of its arrays."""
     start = 8 + int.from_bytes(content[:8], "little")
     return json.loads(content[8:start]), start

@@ -1,4 +1,4 @@
-"""Which options a trajectory passes through: the decisions of an agent that has options and acts the same."""
+"""Finds the options that a trajectory passes through: the decisions of an agent with options that acts the same."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from sb3_options.options.option import Option
 
 
 def decisions(trajectory: Trajectory, bank: OptionBank) -> tuple[IntArray, BoolArray]:
-    """The augmented action that explains each step of a trajectory, and which ones were available.
+    """Return the augmented action that explains each step of a trajectory, and the available actions.
 
-    It is the option that takes the trajectory farthest: one that may start, whose policy takes the same primitive
-    actions until its subgoal. Where there is none, it is the primitive action itself.
+    This is the option that takes the trajectory farthest. It may start there, and its policy takes the same primitive
+    actions until its subgoal. Without such an option, it is the primitive action itself.
 
     Args:
-        trajectory: Of T primitive steps.
+        trajectory: Trajectory of T primitive steps.
         bank: The options.
 
     Returns:
@@ -39,7 +39,7 @@ def decisions(trajectory: Trajectory, bank: OptionBank) -> tuple[IntArray, BoolA
 
 
 def _durations(option: Option, trajectory: Trajectory, available: BoolArray) -> IntArray:
-    """How many steps of a trajectory the option explains from each step on, (T,); 0 where it does not."""
+    """Return how many steps of a trajectory the option explains from each step on, (T,); 0 for none."""
     visits = trajectory.visits
     agrees = available[:-1] & (option.policy(trajectory.states)[visits[:-1]] == trajectory.actions)
     reached = option.termination(trajectory.states)[visits] > 0

@@ -1,4 +1,4 @@
-"""How options are learned, and judged by their use."""
+"""How options are learned, and how they are judged."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeAlias
 from sb3_options.checked import Field, settings
 
 PolicyInput: TypeAlias = Literal["observation", "features"]
-"""What a policy acts on: the observation, or its features φ in concept space."""
+"""Input of a policy: the observation, or its features φ in concept space."""
 
 
 @settings
@@ -44,7 +44,7 @@ class OptionLearningSettings:
 
 @settings
 class UsefulnessSettings:
-    """How options are judged by their use.
+    """How options are judged, and useless ones closed.
 
     Attributes:
         min_reached: Minimum fraction of an option's runs, in [0, 1]. A state of I leaves I if fewer runs from it reach

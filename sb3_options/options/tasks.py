@@ -1,4 +1,4 @@
-"""The task that an option is learned in: its initiation set, and steps of saved trajectories with its own rewards."""
+"""The task that an option is learned in: its initiation set, and the saved steps with the task's own rewards."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.options.settings import OptionLearningSettings
 
 STEP_REWARD, SUBGOAL_REWARD = -1.0, 0.0
-"""Rewards of a step that goes on and of one that reaches the subgoal: the value of a state is minus the number of steps
-from there, as in a shortest path (Sutton & Barto 2018, example 4.1)."""
+"""Rewards of a step that goes on and of one that reaches the subgoal. So the value of a state is minus the number of
+steps from there, as in a shortest path (Sutton & Barto 2018, example 4.1)."""
 
 AT_ONCE = 2048
-"""States of which it is asked at once whether a region contains them: memory is bounded by this times its points."""
+"""States per call that checks whether a region contains them. It bounds memory by this times the region's points."""
 
 
 class Transitions(NamedTuple):
     """Primitive steps of the option's own task, each distinct observation stored once.
 
     Attributes:
-        states: The distinct observations, or features where the policy acts on those, batch of m.
+        states: The distinct observations, or features if the policy acts on those, batch of m.
         began: Row of ``states`` where each step began, shape (n,).
         actions: Primitive actions, shape (n,).
-        rewards: Of the option's own task, shape (n,).
+        rewards: Rewards of the option's own task, shape (n,).
         led: Row of ``states`` where each step led, shape (n,).
         ends: Whether the step reached the subgoal, left I or ended the episode in a terminal state, shape (n,).
     """
@@ -46,16 +46,16 @@ class Transitions(NamedTuple):
 def initiation_set(
     subgoal: Region, trajectories: Iterable[LabelledTrajectory], settings: OptionLearningSettings
 ) -> Region:
-    """The union of the n states before a visit of the subgoal, over all saved trajectories.
+    """Return the union of the n states before a visit of the subgoal, over all saved trajectories.
 
-    A region with one centre for every distinct state, in the features that an option for the subgoal sees; empty if no
-    trajectory visits the subgoal.
+    The region has one centre for every distinct state, in the features that an option for the subgoal sees. It is empty
+    if no trajectory visits the subgoal.
     """
     trajectories = list(trajectories)
     points: list[FloatArray] = [t.features[:0] for t in trajectories[:1]] or [subgoal.points[:0]]
     for labelled, reached in zip(trajectories, contained(subgoal, trajectories), strict=True):
         visits = labelled.trajectory.visits
-        times = np.flatnonzero(reached[visits])[:1]  # a later one may be from behind
+        times = np.flatnonzero(reached[visits])[:1]  # a later visit may come from behind
         before = np.unique(
             [row for t in times for row in visits[max(0, t - settings.initiation_steps) : t]],
         ).astype(np.int64)
@@ -76,7 +76,7 @@ def transitions_to(
     trajectories: Iterable[LabelledTrajectory],
     settings: OptionLearningSettings,
 ) -> Transitions | None:
-    """Every saved primitive step that begins in I and outside the subgoal; None if there are none.
+    """Return every saved primitive step that begins in I and outside the subgoal, or None if there are none.
 
     Reaching the subgoal ends the task with `SUBGOAL_REWARD`. Leaving I ends it with ``leave_reward``, and so does a
     terminal state.
@@ -108,14 +108,14 @@ def transitions_to(
 
 
 def value_keys(observations: Observations) -> list[bytes]:
-    """A key of each observation, which two of one space share exactly if their values are equal."""
+    """Return a key for each observation; two of one space share a key exactly if their values are equal."""
     if isinstance(observations, Mapping):
         return list(map(b"".join, zip(*(value_keys(observations[k]) for k in sorted(observations)), strict=True)))
     return row_keys(observations.reshape(len(observations), math.prod(observations.shape[1:])))
 
 
 def contained(region: Region, trajectories: Sequence[LabelledTrajectory]) -> list[BoolArray]:
-    """Whether the region contains each distinct state of each trajectory, (m,) each. Many are short: few calls."""
+    """Return whether the region contains each distinct state of each trajectory, (m,) each, in few calls."""
     ends = np.cumsum([0, *(len(each.features) for each in trajectories)])
     parts: list[BoolArray] = []
     while len(parts) < len(trajectories):
@@ -129,7 +129,7 @@ def contained(region: Region, trajectories: Sequence[LabelledTrajectory]) -> lis
 def _steps(
     trajectory: Trajectory, reached: BoolArray, inside: BoolArray, leave_reward: float
 ) -> tuple[IntArray, FloatArray, BoolArray]:
-    """When each step of a trajectory began that belongs to the task, its reward, and whether it ends it, (k,) each."""
+    """Return when each step of a trajectory's task began, its reward, and whether it ends the task, (k,) each."""
     began, led = trajectory.visits[:-1], trajectory.visits[1:]
     times = np.flatnonzero(inside[began])
     goes_on = inside[led]
