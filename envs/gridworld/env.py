@@ -39,7 +39,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
     the border or a locked door is in the way. An episode terminates when the agent enters the goal, and truncates
     after ``max_steps`` steps. The ``info`` of each step has ``is_success``, whether this step reached the goal. The
     agent picks up a key by entering its cell, and keeps it until the episode ends. A ``continuing`` task does not
-    terminate: the step after reaching the goal leads to a start, whatever its action.
+    terminate: the step after reaching the goal leads to a start, whatever the action.
 
     Observations, for a map of ``n`` cells:
 

@@ -40,7 +40,7 @@ def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspac
         close = measure_close_pairs(share, columns, segment, likelihood)
     odds = torch.expm1(share.clamp_(max=0) * math.log(2)).neg_()  # 1 − p, exact where p is near 1
     row_top = _chain(blocks, torch.maximum)
-    top = torch.zeros_like(row_top)  # instances of negative bags are taken as they are
+    top = torch.zeros_like(row_top)  # instances of negative bags are not factored
     if segment.rows_of_bags:
         bag_top = _over_rows(row_top, segment, torch.maximum)
         top = torch.cat([bag_top, torch.zeros_like(bag_top[:1])])[segment.bag_of_row]

@@ -72,7 +72,7 @@ class LocalCuts:
         return known
 
     def shares(self, features: FloatArray) -> FloatArray:
-        """Return the share of its surroundings that each state (n, d) cuts off from their largest part, ≤ 0.5."""
+        """Return the share of its surroundings that each state (n, d) cuts off from the largest part, in [0, 0.5]."""
         numbers = self._numbers(features)
         once = self._n_trajectories[numbers] == 1
         for number in set(numbers[np.isnan(self._shares[numbers]) & ~once].tolist()):

@@ -24,7 +24,7 @@ class DiscoverySettings:
             only the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity`, `max_share` and `segmentation`.
         segmentation: A trajectory is an episode (``episodes``) or, in continuing tasks, a segment between two ``peaks``
             of reward (`recording.SegmentRecorder`).
-        max_segment: A segment without a peak fails after so many primitive steps. It should exceed the steps that
+        max_segment: A segment without a peak fails after this many primitive steps. It should exceed the steps that
             random exploration takes from peak to peak.
         max_share: Maximum share of training that searches may take, None for any. It is counted in work, not by the
             clock (`budget`). After an expensive search the next ones come later. Training counts as at least 40,000
