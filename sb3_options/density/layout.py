@@ -1,9 +1,10 @@
 """Cuts bags into segments that fit the cache, in a layout that wastes nothing on uneven bags.
 
-A bag is cut into rows of nearly equal length, at most `width` instances each. The rows of a segment are ordered by
-length, longest first, and stored place by place: first the first instance of every row, then the second instance of
-every row that has one, and so on. So the k-th places are a block whose rows are a prefix of all rows. Every reduction
-over a bag is a chain of operations on whole blocks, without padding.
+A bag is cut into rows of nearly equal length, at most ``SHORTEST_WIDTH`` instances each, or √n if that is more, for the
+longest bag of n. The rows of a segment are ordered by length, longest first, and stored place by place: first the first
+instance of every row, then the second instance of every row that has one, and so on. So the k-th places are a block
+whose rows are a prefix of all rows. Every reduction over a bag is a chain of operations on whole blocks, without
+padding.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
 SEGMENT_INSTANCES = 1 << 17
 """Maximum instances of a segment, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
 
-SHORTEST_WIDTH = 16  # minimum row width: every place costs three calls, every row a share of the work on rows
+SHORTEST_WIDTH = 16  # smallest limit on row length: a place costs three calls, a row its share of the work on rows
 FEW_STARTS = 9  # below this, arrays are stored start by start: products with so few columns are slow
 
 

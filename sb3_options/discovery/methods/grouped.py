@@ -28,7 +28,6 @@ class GroupedPeaks(Method):
     `goal_radius` and `spacing` are measured in these. ``loops`` and ``min_passing`` do not apply: to a moving agent, a
     repeated state need not be a loop, nor does a path lead through it. Instead an instance of a successful trajectory
     must stand out by its `Contrast`. A search follows a success, and later a few of them (``search_growth``).
-
     """
 
     STATE: ClassVar[tuple[str, ...]] = ("_members", "_leading", "_searched", "_n_successful", "_n_standing")
