@@ -5,16 +5,16 @@
 - ``sb3_options/KeyDoor-v0``: find the key that opens the door to the goal.
 - ``sb3_options/Pioneer-v0``: a simulated robot takes a ball to a wall, McGovern & Barto (2001), §7.
 - ``sb3_options/PioneerCorner-v0``: it takes the ball to one marked corner.
-- ``sb3_options/PioneerClutter-v0``: there are obstacles in its way.
-- ``sb3_options/PioneerTwoBalls-v0``: there are two balls to take to the walls.
+- ``sb3_options/PioneerClutter-v0``: obstacles are in its way.
+- ``sb3_options/PioneerTwoBalls-v0``: it takes two balls to the walls.
 - ``sb3_options/PioneerMuJoCo-v0``: the robot of ``Pioneer-v0`` in MuJoCo; ``deposit="corner"``, ``n_obstacles=4`` and
-  ``n_balls=2`` make it the other three.
+  ``n_balls=2`` give the other three tasks.
 
-The first three are `GridWorld`, the next four `sb3_options.envs.pioneer.Pioneer`, which needs PyBullet
-(``pip install "sb3-options[pioneer]"``, wheels up to CPython 3.11), the last
+The first three are `GridWorld`. The next four are `sb3_options.envs.pioneer.Pioneer`, which needs PyBullet
+(``pip install "sb3-options[pioneer]"``, wheels up to CPython 3.11). The last is
 `sb3_options.envs.pioneer.PioneerMuJoCo`, which needs MuJoCo (``pip install "sb3-options[mujoco]"``, wheels for every
-Python). `gymnasium.make` passes all of their keyword arguments on. The step limit is
-the environment's own ``max_steps``, so that ``gymnasium.make(..., max_steps=None)`` lifts it.
+Python). `gymnasium.make` passes on all keyword arguments. The step limit is the environment's own ``max_steps``, so
+``gymnasium.make(..., max_steps=None)`` lifts it.
 """
 
 from typing import Any
@@ -46,7 +46,7 @@ __all__ = [
 
 def _register(name: str, map: str, max_steps: int) -> None:
     env_id = f"sb3_options/{name}-v0"
-    # Registering twice warns, and a reloaded module would.
+    # Registering twice warns, and a reloaded module would do so.
     if env_id not in gymnasium.registry:
         gymnasium.register(
             env_id,

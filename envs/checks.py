@@ -6,7 +6,7 @@ from operator import index
 
 
 def number(value: float, argument: str, low: float = -math.inf, high: float = math.inf) -> float:
-    """The value as a float, if it is finite and in ``low..high``."""
+    """Return the value as a float, if it is finite and in ``low..high``."""
     if not isinstance(value, Real):
         raise TypeError(f"{argument} must be a number, got {value!r}")
     if not (math.isfinite(value) and low <= value <= high):
@@ -19,7 +19,7 @@ def number(value: float, argument: str, low: float = -math.inf, high: float = ma
 
 
 def count(value: int, argument: str, low: int) -> int:
-    """The value as an int, if it is at least ``low``."""
+    """Return the value as an int, if it is at least ``low``."""
     try:
         number = index(value)
     except TypeError:
@@ -30,12 +30,12 @@ def count(value: int, argument: str, low: int) -> int:
 
 
 def step_limit(value: int | None) -> int | None:
-    """The value as an int >= 1, or None."""
+    """Return the value as an int >= 1, or None."""
     return None if value is None else count(value, "max_steps", low=1)
 
 
 def one_of(value: str, allowed: tuple[str, ...], argument: str) -> str:
-    """The value, if it is allowed."""
+    """Return the value, if it is allowed."""
     if value not in allowed:
         raise ValueError(f"{argument} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
     return value

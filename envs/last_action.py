@@ -1,4 +1,4 @@
-"""`LastActionObservation`: the last primitive action beside the observation, as a short memory."""
+"""`LastActionObservation`: adds the last primitive action to the observation, as a short memory."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Vector = npt.NDArray[Any]
 class LastActionObservation(gym.Wrapper[Vector, Any, Vector, Any], RecordConstructorArgs):
     """Appends the last primitive action to the observation, one-hot; zeros after a reset.
 
-    Where an observation shows a part of the state only, a policy without memory that looks around does not know
-    which way it was turning, and may turn back and forth. Its last action tells. The feature map φ is that of the
-    environment beneath, so options whose policies act on features fit with this wrapper and without.
+    If observations show only part of the state, a policy without memory does not know which way it was turning, and
+    may turn back and forth. The last action tells it. The feature map φ is the inner environment's. So options whose
+    policies act on features fit with and without this wrapper.
 
     Args:
-        env: Its observations are vectors and its actions discrete. This wrapper goes beneath `OptionsWrapper`.
+        env: Environment with vector observations and discrete actions. This wrapper goes beneath `OptionsWrapper`.
 
     Raises:
         TypeError: The environment has other observations or actions.
@@ -66,18 +66,18 @@ class LastActionObservation(gym.Wrapper[Vector, Any, Vector, Any], RecordConstru
         return self._with_action(observation), info
 
     def step(self, action: Any) -> tuple[Vector, Any, bool, bool, dict[str, Any]]:
-        """One step of the environment."""
+        """Step the environment."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._last = int(action) - self._first
         return self._with_action(observation), reward, terminated, truncated, info
 
     def concept_features(self, observations: Vector) -> npt.NDArray[np.float64]:
-        """φ of a batch of observations, (batch, d): that of the environment beneath, or its observations themselves."""
+        """Return φ of a batch of observations, (batch, d): the inner environment's φ, or its observations."""
         seen = np.asarray(observations)[:, : self._n_seen]
         return np.asarray(seen if self._own is None else self._own(seen), dtype=np.float64)
 
     def concept_groups(self) -> Iterable[Mapping[str, Any]]:
-        """Which features of φ make a concept together; none where all do."""
+        """Return which features of φ make a concept together; empty if all do."""
         return () if self._groups is None else self._groups()
 
     def _with_action(self, observation: Vector) -> Vector:

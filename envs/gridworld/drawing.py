@@ -1,4 +1,4 @@
-"""Pictures of a gridworld: one flat colour a cell for agents that learn from images, icons for people."""
+"""Pictures of a gridworld: one flat colour per cell for agents that learn from images, icons for people."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 from sb3_options.envs.gridworld.grid_map import Cell, GridMap
 
 RENDER_CELL_PX = 32
-"""Side of a cell in a rendered picture, px; a multiple of 16, because video encoders pad other sizes."""
+"""Side of a cell in a rendered picture, px. It is a multiple of 16, because video encoders pad other sizes."""
 
 Colour = tuple[int, int, int]
 
-# RGB, 0..255. The agent's colour occurs nowhere else, so that it can be found again in a picture.
+# RGB, 0..255. The agent's colour occurs nowhere else, so that a picture shows where it is.
 AGENT: Colour = (38, 92, 204)
 GOAL: Colour = (46, 160, 67)
 KEY: Colour = (232, 172, 20)
@@ -31,7 +31,7 @@ _V, _U = (np.mgrid[:RENDER_CELL_PX, :RENDER_CELL_PX] + 0.5) / RENDER_CELL_PX - 0
 
 
 def flat_picture(grid: GridMap, has_key: bool, cell_px: int) -> Picture:
-    """Draws each cell as a square of one colour, without the agent and the starts; with the key doors are open."""
+    """Draw each cell as a square of one colour, without agent and starts. With the key, doors are open."""
     colours = np.full((grid.height, grid.width, 3), _FLOOR, dtype=np.uint8)
     colours[grid.walls] = _WALL
     for x, y in grid.doors:
@@ -44,13 +44,13 @@ def flat_picture(grid: GridMap, has_key: bool, cell_px: int) -> Picture:
 
 
 def fill_cell(picture: Picture, cell: Cell, cell_px: int, colour: Colour) -> None:
-    """Fills one cell of a flat picture in place."""
+    """Fill one cell of a flat picture in place."""
     x, y = cell[0] * cell_px, cell[1] * cell_px
     picture[y : y + cell_px, x : x + cell_px] = colour
 
 
 def scene(grid: GridMap, has_key: bool) -> Picture:
-    """Draws a map for people, without the agent; with the key doors are open."""
+    """Draw a map for people, without the agent. With the key, doors are open."""
     picture = np.full((grid.height * RENDER_CELL_PX, grid.width * RENDER_CELL_PX, 3), _FLOOR, dtype=np.uint8)
     everywhere = np.ones_like(_U)
     grid_line = _box(0, 0, 0.5, 0.5) - _box(0, 0, 0.5 - 1 / RENDER_CELL_PX, 0.5 - 1 / RENDER_CELL_PX)
@@ -72,7 +72,7 @@ def scene(grid: GridMap, has_key: bool) -> Picture:
 
 
 def draw_agent(picture: Picture, cell: Cell) -> None:
-    """Draws the agent into a scene, in place."""
+    """Draw the agent into a scene, in place."""
     _blend(picture, cell, _disc(0, 0, 0.38), _WHITE)
     _blend(picture, cell, _disc(0, 0, 0.32), AGENT)
 
@@ -95,17 +95,17 @@ def _draw_door(picture: Picture, cell: Cell, is_open: bool) -> None:
 
 
 def _disc(u: float, v: float, radius: float) -> Mask:
-    """How much of each pixel of a cell a disc covers, 0..1; centre and radius in cells."""
+    """Return how much of each pixel of a cell a disc covers, 0..1; centre and radius in cells."""
     return _coverage(radius - np.hypot(_U - u, _V - v))
 
 
 def _box(u: float, v: float, half_width: float, half_height: float) -> Mask:
-    """How much of each pixel of a cell an upright box covers, 0..1; centre and half sides in cells."""
+    """Return how much of each pixel of a cell an upright box covers, 0..1; centre and half sides in cells."""
     return _coverage(np.minimum(half_width - np.abs(_U - u), half_height - np.abs(_V - v)))
 
 
 def _coverage(depth: Mask) -> Mask:
-    """Turns the depth of pixel centres inside a shape, in cells, into coverages with a soft edge of 1 px."""
+    """Turn the depth of pixel centres inside a shape, in cells, into coverage with a soft edge of 1 px."""
     coverage: Mask = np.clip(depth * RENDER_CELL_PX + 0.5, 0, 1)
     return coverage
 

@@ -1,4 +1,4 @@
-"""Gridworlds with bottlenecks: rooms joined by doorways, and doors that want a key."""
+"""Gridworlds with bottlenecks: rooms joined by doorways, and doors that need a key."""
 
 from collections.abc import Sequence
 from operator import index
@@ -21,10 +21,10 @@ ObservationKind = Literal["onehot", "xy", "image"]
 RenderMode = Literal["human", "rgb_array"]
 
 KEY_FEATURE_SCALE = 5.0
-"""How far having the key is from not having it in concept space, in cells.
+"""Distance in concept space between having the key and not having it, in cells.
 
-Diverse density compares states by exp(−d²) with d in cells. At one cell a state with the key would pass for
-the same cell without it (e⁻¹); at five cells it does not (e⁻²⁵), and the gap is still no longer than a room.
+Diverse density compares states by exp(−d²) with d in cells. At one cell, a state with the key would pass for the same
+cell without it (e⁻¹). At five cells it does not (e⁻²⁵), and the gap is still no longer than a room.
 """
 
 _N_DIRECTIONS = len(Direction)
@@ -32,43 +32,42 @@ _VIEWS: dict[str, type[View]] = {"onehot": OneHotView, "xy": XYView, "image": Im
 
 
 class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
-    """An agent in a walled grid walks to a goal; on some maps it needs a key to get there.
+    """An agent in a walled grid walks to a goal. On some maps it needs a key to get there.
 
     Actions 0..3 are the directions up, down, left, right (`Direction`). The agent moves in the chosen direction with
-    probability ``success_probability``, else in a uniformly random one of the four. Where a wall, the border
-    or a locked door is in the way it stays. An episode terminates on entering the goal, and truncates after
-    ``max_steps`` steps; the ``info`` of each step says ``is_success``, whether the goal was reached with it.
-    A key is picked up by entering its cell and is kept until the episode ends. A ``continuing`` task does not
-    terminate: the step after the one that entered the goal, whatever its action, leads to a start.
+    probability ``success_probability``, else in a uniformly random one of the four. It stays where it is if a wall,
+    the border or a locked door is in the way. An episode terminates when the agent enters the goal, and truncates
+    after ``max_steps`` steps. The ``info`` of each step has ``is_success``, whether this step reached the goal. The
+    agent picks up a key by entering its cell, and keeps it until the episode ends. A ``continuing`` task does not
+    terminate: the step after reaching the goal leads to a start, whatever the action.
 
     Observations, for a map of ``n`` cells:
 
-    - ``"onehot"``: float32 of shape (n,), index ``y * width + x`` of the agent's cell; with a key on the map
-      (2n,), the second half being used while the agent has the key.
-    - ``"xy"``: float32 of shape (2,), column and row in cells; with a key on the map (3,), 1 for having the
-      key.
-    - ``"image"``: uint8 of shape (height, width, 3) in px, both sides at least 36 px, one colour a cell.
+    - ``"onehot"``: float32 of shape (n,), index ``y * width + x`` of the agent's cell. With a key on the map (2n,),
+      where the second half is used while the agent has the key.
+    - ``"xy"``: float32 of shape (2,), column and row in cells. With a key on the map (3,), 1 for having the key.
+    - ``"image"``: uint8 of shape (height, width, 3) in px, both sides at least 36 px, one colour per cell.
 
-    The dynamics, rewards and starts of the default arguments are those of McGovern & Barto (2001), §3 and
-    §6.1; the four rooms are those of Sutton, Precup & Singh (1999).
+    The default dynamics, rewards and starts follow McGovern & Barto (2001), §3 and §6.1. The four rooms follow Sutton,
+    Precup & Singh (1999).
 
     Args:
-        map: One line a row of ``#`` wall, ``.`` floor, ``S`` start, ``G`` goal, ``K`` key, ``D`` door.
-        goal: Goal cell (x, y) to use instead of the map's; x is the column and y the row, from the top left.
-        starts: Start cells to use instead of the map's. An episode starts in a uniformly random one of them.
+        map: One line per row of ``#`` wall, ``.`` floor, ``S`` start, ``G`` goal, ``K`` key, ``D`` door.
+        goal: Goal cell (x, y) instead of the map's; x is the column and y the row, from the top left.
+        starts: Start cells instead of the map's. An episode starts in one of them, chosen uniformly at random.
         success_probability: Probability of moving in the chosen direction, 0..1.
         goal_reward: Reward for the step that enters the goal.
         step_reward: Reward for every other step.
         max_steps: Steps after which an episode truncates; None for never.
-        continuing: Whether the agent goes on from a start, in the same episode, when it has reached the goal.
-            ``is_success`` then says whether the episode has reached it so far.
-        observation: What the agent sees.
+        continuing: Whether the agent, after reaching the goal, continues from a start in the same episode.
+            ``is_success`` then says whether the episode has reached the goal so far.
+        observation: Kind of observation.
         render_mode: ``"rgb_array"`` for pictures, ``"human"`` for a matplotlib window.
 
     Attributes:
         goal: The goal cell.
         start_cells: The cells where episodes start.
-        doorways: The cells that are one-cell gaps in walls, row by row.
+        doorways: One-cell gaps in walls, row by row.
         keys: The cells that hold a key.
         doors: The cells that only an agent with a key can enter.
         walls: Which cells are walls, bool of shape (height, width), read-only.
@@ -135,10 +134,10 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Starts an episode.
+        """Start an episode.
 
         Args:
-            seed: Seed of the environment's random numbers; None goes on with those there are.
+            seed: Seed of the environment's random generator; None leaves the generator as it is.
             options: ``{"start": (x, y)}`` starts in that cell instead of a random one.
 
         Returns:
@@ -162,7 +161,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         return self._observe(state), {}
 
     def step(self, action: SupportsIndex) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
-        """Moves the agent by at most one cell.
+        """Move the agent by at most one cell.
 
         Args:
             action: A `Direction`, 0..3.
@@ -184,7 +183,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         rng = self.np_random
         if rng.random() >= self._success_probability:
             direction = int(_N_DIRECTIONS * rng.random())  # uniform like rng.integers(4), in half its time
-        # Only in a continuing task a step can begin at the goal.
+        # A step can begin at the goal only in a continuing task.
         self._state = state = self._drawn_start() if self._is_goal[state] else self._successors[direction][state]
         self._elapsed += 1
         at_goal = self._is_goal[state]
@@ -198,11 +197,11 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         return self._observe(state), reward, terminated, truncated, {"is_success": self._reached}
 
     def get_state(self) -> dict[str, Any]:
-        """Where the episode is, for a checkpoint; the random numbers are not in it."""
+        """Return the state of the episode, for a checkpoint, without the random generator."""
         return {"state": self._state, "elapsed": self._elapsed, "over": self._over, "reached": self._reached}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on where `get_state` was called, in an environment made with the same arguments."""
+        """Continue from `get_state`, in an environment made with the same arguments."""
         self._state, self._elapsed = state["state"], state["elapsed"]
         self._over, self._reached = state["over"], state["reached"]
 
@@ -210,15 +209,15 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         return self._start_states[int(self.np_random.integers(len(self._start_states)))]
 
     def concept_features(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """Where the agent is in each observation: the space in which subgoals are looked for.
+        """Return the agent's position in each observation: the space of the search for subgoals.
 
         Args:
             observations: A batch of observations of this environment, shape ``(batch, *observation shape)``, of
                 any integer or floating dtype.
 
         Returns:
-            Column and row in cells, of shape (batch, 2). With a key on the map the shape is (batch, 3), and the last is
-            `KEY_FEATURE_SCALE` where the agent has the key and 0 where it has not.
+            Column and row in cells, of shape (batch, 2). With a key on the map the shape is (batch, 3). The third
+            feature is `KEY_FEATURE_SCALE` if the agent has the key, else 0.
         """
         observations = np.asarray(observations)
         expected = self._view.space.shape
@@ -231,7 +230,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         return features
 
     def render(self) -> RenderFrame | list[RenderFrame] | None:
-        """Draws the current state; for ``"rgb_array"`` returns a uint8 picture (32 * height, 32 * width, 3)."""
+        """Draw the current state; for ``"rgb_array"`` return a uint8 picture (32 * height, 32 * width, 3)."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without a render mode: pass render_mode='rgb_array'")
             return None
@@ -246,7 +245,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
         return None
 
     def close(self) -> None:
-        """Closes the window of render mode "human", if there is one."""
+        """Close the window of render mode "human", if there is one."""
         if self._window is not None:
             self._window.close()
             self._window = None

@@ -1,4 +1,4 @@
-"""ASCII maps: what the characters mean, which cells lead where, and what is wrong with a bad map."""
+"""ASCII maps: the meaning of their characters, the moves between cells, and the errors of bad maps."""
 
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -39,14 +39,14 @@ _OFFSETS: dict[Direction, Cell] = {
 class GridMap:
     """A parsed map and its deterministic dynamics.
 
-    A *state* is one integer: ``y * width + x`` without the key, and the number of cells more with the key.
-    Maps without a key have only the former.
+    A *state* is one integer: ``y * width + x`` without the key, plus the number of cells with the key. Maps without a
+    key have only states of the first kind.
 
     Attributes:
         walls: Which cells are walls, shape (height, width), read-only.
         goal: The goal cell.
         starts: The cells where an episode may start.
-        keys: Cells that hold a key; each key opens every door, and holding one is holding all.
+        keys: Cells that hold a key. Every key opens all doors, so keys are interchangeable.
         doors: Cells that only an agent with a key can enter.
     """
 
@@ -58,7 +58,7 @@ class GridMap:
 
     @classmethod
     def parse(cls, text: str, goal: Cell | None = None, starts: Sequence[Cell] | None = None) -> Self:
-        """Reads a map."""
+        """Read a map."""
         rows = _rows(text)
         cells = {mark: _cells_of(rows, mark) for mark in _CHARACTERS}
         if bool(cells[KEY]) != bool(cells[DOOR]):
@@ -74,7 +74,7 @@ class GridMap:
         else:
             goal = _as_cell(goal, "goal")
         if starts is None:
-            # A caller who moves the goal onto one of the map's many starts means the others.
+            # A caller who moves the goal onto one of the map's many starts means to use the other starts.
             starts = [cell for cell in cells[START] if cell != goal]
         elif not isinstance(starts, Iterable):
             raise TypeError(f"starts must be a sequence of cells (x, y), got {starts!r}")
@@ -118,8 +118,8 @@ class GridMap:
     def doorways(self) -> tuple[Cell, ...]:
         """Cells that are one-cell gaps in a wall, row by row.
 
-        A gap has walls on two opposite sides and none on the other two; in a corridor one cell wide that is
-        every cell between its ends. The border counts as a wall, a door does not.
+        A gap has walls on two opposite sides and none on the other two. In a corridor one cell wide, every cell
+        between its ends is a gap. The border counts as a wall, a door does not.
         """
         closed = np.pad(self.walls, 1, constant_values=True)
         up, down, left, right = closed[:-2, 1:-1], closed[2:, 1:-1], closed[1:-1, :-2], closed[1:-1, 2:]
@@ -130,7 +130,7 @@ class GridMap:
     def successors(self) -> tuple[tuple[int, ...], ...]:
         """Next state by direction and state, as ``successors[direction][state]``.
 
-        Nested tuples, because looking up one Python integer in a tuple is several times as fast as in an
+        They are nested tuples, because looking up one Python integer is several times as fast in a tuple as in an
         array.
         """
         return tuple(
@@ -139,7 +139,7 @@ class GridMap:
 
     @cached_property
     def solvable(self) -> frozenset[int]:
-        """The states from which the goal can be reached, the goal's own among them."""
+        """The states from which the goal can be reached, including the goal's own."""
         predecessors: list[list[int]] = [[] for _ in range(self.n_states)]
         for successor in self.successors:
             for state, following in enumerate(successor):
@@ -154,16 +154,16 @@ class GridMap:
         return frozenset(found)
 
     def state(self, cell: Cell, has_key: bool = False) -> int:
-        """The state of an agent that enters a cell: where a key lies, it holds the key from then on."""
+        """Return the state of an agent that enters a cell: if a key lies there, the agent now holds it."""
         return cell[1] * self.width + cell[0] + self.n_cells * (has_key or cell in self.keys)
 
     def cell(self, state: int) -> Cell:
-        """The cell of a state."""
+        """Return the cell of a state."""
         y, x = divmod(state % self.n_cells, self.width)
         return x, y
 
     def start_state(self, cell: Cell, argument: str) -> int:
-        """Checks a start cell and says which state an episode begins in there."""
+        """Check a start cell, and return the state in which an episode begins there."""
         cell = _as_cell(cell, argument)
         self._check_free(cell, argument, self.doors)
         if cell == self.goal:

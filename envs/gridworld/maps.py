@@ -1,9 +1,8 @@
 """The shipped maps and their step limits.
 
-A step limit is so long that an agent that moves uniformly at random still reaches the goal in at least nine
-episodes of ten: a learner without any skill gets its first rewards, and few of its early episodes are cut
-off. The figures beside the limits are exact (powers of the random walk's transition matrix) and a test
-recomputes them.
+Each step limit is so long that a uniformly random walk reaches the goal in at least nine of ten episodes. So an
+unskilled learner gets its first rewards, and few of its early episodes are cut off. The figures beside the limits are
+exact (powers of the random walk's transition matrix). A test recomputes them.
 """
 
 TWO_ROOMS = """
@@ -20,9 +19,9 @@ SSSSSSSSSS#.........G
 """
 """The 21x10 gridworld of McGovern & Barto (2001), figure 1A and §6.1.
 
-Start anywhere in the left room, goal in the lower right corner, doorway at (10, 5): the text gives the size,
-the rooms, the starts and the goal; the doorway's row is ours. Moving the goal to (20, 0) and lowering the
-success probability to 0.8 makes the paper's transfer task.
+The start is anywhere in the left room, the goal in the lower right corner, the doorway at (10, 5). The paper's text
+gives the size, the rooms, the starts and the goal; the doorway's row is ours. The paper's transfer task moves the goal
+to (20, 0) and lowers the success probability to 0.8.
 """
 
 FOUR_ROOMS = """
@@ -42,8 +41,8 @@ FOUR_ROOMS = """
 """
 """The four rooms of Sutton, Precup & Singh (1999), figure 2.
 
-Start anywhere in the upper left room, goal in the lower right room's far corner (11, 11): two ways lead
-there, each through two of the four hallways (6, 3), (2, 6), (9, 7) and (6, 10). Their moves succeed with
+The start is anywhere in the upper left room, the goal in the lower right room's far corner (11, 11). Two ways lead
+there, each through two of the four hallways (6, 3), (2, 6), (9, 7) and (6, 10). In the paper moves succeed with
 probability 2/3 and go in each other direction with 1/9, which is ``success_probability=5 / 9`` here.
 """
 
@@ -59,8 +58,8 @@ KSSSSS#.....G
 """
 """Find a key to open a door: the further example of McGovern & Barto (2001), §3, as a 13x8 gridworld of ours.
 
-Start anywhere in the left room without the key, which lies in the room's lower left corner; the door at (6,
-3) lets only a holder of the key through to the right room, with the goal in its lower right corner.
+The start is anywhere in the left room, without the key, which lies in the room's lower left corner. Only a holder of
+the key can pass the door at (6, 3) to the right room, which has the goal in its lower right corner.
 """
 
 TWO_ROOMS_MAX_STEPS = 6_000

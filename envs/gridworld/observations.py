@@ -1,4 +1,4 @@
-"""What the agent of a gridworld sees: three kinds of observation, each of which can be read back."""
+"""Three kinds of observation of a gridworld, each of which can be converted back to positions."""
 
 import math
 from typing import Any
@@ -11,7 +11,7 @@ from sb3_options.envs.gridworld import drawing
 from sb3_options.envs.gridworld.grid_map import GridMap
 
 MIN_IMAGE_PX = 36
-"""Least side of an image, px: the smallest that the convolutions of SB3's NatureCNN accept."""
+"""Smallest side of an image, px, that the convolutions of SB3's NatureCNN accept."""
 
 
 class OneHotView:
@@ -23,13 +23,13 @@ class OneHotView:
         self._positions = _position_table(grid)
 
     def observe(self, state: int) -> NDArray[np.float32]:
-        """The observation of a state, as a new array."""
+        """Return the observation of a state, as a new array."""
         observation = np.zeros(self._n_states, np.float32)
         observation[state] = 1
         return observation
 
     def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """Column, row and, on a map with a key, 0 or 1 for having it: (batch, 2 or 3)."""
+        """Return column, row and, on a map with a key, 0 or 1 for having it: (batch, 2 or 3)."""
         positions: NDArray[np.float64] = self._positions[observations.argmax(axis=1)]
         return positions
 
@@ -43,17 +43,17 @@ class XYView:
         self.space = spaces.Box(np.zeros_like(high), high)
 
     def observe(self, state: int) -> NDArray[np.float32]:
-        """The observation of a state, as a new array."""
+        """Return the observation of a state, as a new array."""
         observation: NDArray[np.float32] = self._positions[state].copy()
         return observation
 
     def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """Column, row and, on a map with a key, 0 or 1 for having it: (batch, 2 or 3)."""
+        """Return column, row and, on a map with a key, 0 or 1 for having it: (batch, 2 or 3)."""
         return observations.astype(np.float64)
 
 
 class ImageView:
-    """A picture (height, width, RGB) with one colour a cell; a held key is gone, and its doors are open."""
+    """A picture (height, width, RGB) with one colour per cell. A held key is gone, and doors are open."""
 
     def __init__(self, grid: GridMap) -> None:
         self._grid = grid
@@ -64,14 +64,14 @@ class ImageView:
         self.space = spaces.Box(0, 255, self._backgrounds[0].shape, np.uint8)
 
     def observe(self, state: int) -> NDArray[np.uint8]:
-        """The observation of a state, as a new array."""
+        """Return the observation of a state, as a new array."""
         picture = self._backgrounds[state >= self._grid.n_cells].copy()
         drawing.fill_cell(picture, self._grid.cell(state), self._cell_px, drawing.AGENT)
         return picture
 
     def positions(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """Column, row and, on a map with a key, 0 or 1 for having it: (batch, 2 or 3)."""
-        # A cell has one colour, so one of its pixels says it all.
+        """Return column, row and, on a map with a key, 0 or 1 for having it: (batch, 2 or 3)."""
+        # A cell has one colour, so one of its pixels is enough.
         cells = observations[:, :: self._cell_px, :: self._cell_px]
         is_agent = (cells == drawing.AGENT).all(axis=3)
         seen = is_agent.any(axis=(1, 2))
@@ -93,6 +93,6 @@ View = OneHotView | XYView | ImageView
 
 
 def _position_table(grid: GridMap) -> NDArray[np.float64]:
-    """Positions of all states, shape (number of states, 2 or 3)."""
+    """Return the positions of all states, shape (number of states, 2 or 3)."""
     rows = [(*grid.cell(state), state >= grid.n_cells) for state in range(grid.n_states)]
     return np.array(rows, dtype=np.float64)[:, : 3 if grid.keys else 2]

@@ -14,10 +14,9 @@ _PX_PER_INCH = 100
 
 
 class Window:
-    """A matplotlib window; it opens with the first picture.
+    """A matplotlib window, which opens with the first picture.
 
-    With a matplotlib backend that has no windows nothing is seen, and where there is a display matplotlib
-    warns.
+    A matplotlib backend without windows shows nothing. If there is a display, matplotlib warns.
     """
 
     def __init__(self, title: str) -> None:
@@ -26,7 +25,7 @@ class Window:
         self._image: AxesImage | None = None
 
     def show(self, picture: NDArray[np.uint8], seconds: float) -> None:
-        """Shows a picture and lets the window live for a while."""
+        """Show a picture, and run the window's event loop for some seconds."""
         # Imported late: pyplot chooses a GUI toolkit, which training without a window should never load.
         from matplotlib import pyplot as plt
 
@@ -44,7 +43,7 @@ class Window:
         self._figure.canvas.start_event_loop(seconds)
 
     def close(self) -> None:
-        """Closes the window, if there is one."""
+        """Close the window, if there is one."""
         if self._figure is not None:
             from matplotlib import pyplot as plt
 

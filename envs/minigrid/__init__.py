@@ -1,4 +1,4 @@
-"""MiniGrid ready for Stable-Baselines3, with a concept space of relations: what lies where, seen from the agent.
+"""MiniGrid for Stable-Baselines3, with a concept space of things and their places relative to the agent.
 
 Needs the package ``minigrid`` (``pip install "sb3-options[minigrid]"``).
 """

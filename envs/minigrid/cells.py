@@ -1,7 +1,7 @@
-"""How many values the three numbers of a cell take, and how long its one-hot code is."""
+"""Numbers of values of a cell's three channels, and the length of its one-hot code."""
 
 OBJECTS, COLOURS, STATES = 11, 6, 4
 """Objects, colours, and states of doors or directions of agents."""
 
 DEPTH = OBJECTS + COLOURS + STATES
-"""Numbers of the code of a cell."""
+"""Length of the code of a cell."""

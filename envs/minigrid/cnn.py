@@ -13,18 +13,18 @@ from torch import nn
 from sb3_options.envs.minigrid.cells import DEPTH
 
 MOST_WORDS = 500
-"""More than the missions of any task have, and fewer than the numbers that the next larger view has more."""
+"""Limit on the words of missions: more than any task has, and less than the next larger view adds."""
 
 
 class MiniGridCNN(BaseFeaturesExtractor):
-    """Reads the cells of a vector of `MiniGridWrapper` as a picture, and its words of the mission as they are.
+    """Reads the cells of a `MiniGridWrapper` vector as a picture, and passes on the words of its mission.
 
-    The convolutions are those of rl-starter-files: 16, 32 and 64 channels of 2 by 2 cells. Pass it as
+    The convolutions are those of rl-starter-files: 16, 32 and 64 channels of 2 by 2 cells. Pass the class as
     ``policy_kwargs={"features_extractor_class": MiniGridCNN}`` to a model with an ``MlpPolicy``.
 
     Args:
-        observation_space: Of the wrapper, (v·v·21 + words,).
-        view: v, cells across the view: odd, at least 7. Another than 7 goes into ``features_extractor_kwargs``.
+        observation_space: Observation space of the wrapper, (v·v·21 + words,).
+        view: v, cells across the view: odd, at least 7. Values other than 7 go into ``features_extractor_kwargs``.
     """
 
     def __init__(self, observation_space: gym.Space[Any], view: int = 7) -> None:
@@ -50,7 +50,7 @@ class MiniGridCNN(BaseFeaturesExtractor):
         )  # fmt: skip
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Features (batch, n) of observations (batch, v·v·21 + words)."""
+        """Return features (batch, n) of observations (batch, v·v·21 + words)."""
         cells, words = observations[:, : self.n_cells], observations[:, self.n_cells :]
         picture = cells.reshape(-1, self.view, self.view, DEPTH).permute(0, 3, 1, 2)
         return torch.cat([self.cnn(picture), words], dim=1)

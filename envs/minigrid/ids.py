@@ -1,4 +1,4 @@
-"""Environments of MiniGrid by their ids."""
+"""MiniGrid environments by id."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from sb3_options.envs.minigrid.wrapper import MiniGridWrapper
 from sb3_options.extras import how_to_install
 
 PREFIXES = ("MiniGrid-", "BabyAI-")
-"""How the ids of MiniGrid begin."""
+"""Prefixes of MiniGrid's ids."""
 
 MODULE = "minigrid:"
-"""Before an id: the module that registers it."""
+"""Prefix of an id that names the module which registers it."""
 
 
 @overload
@@ -32,14 +32,14 @@ def make(
 def make(
     env_id: str, *, mission: bool = True, asked: bool = True, last_action: bool = False, **kwargs: Any
 ) -> gym.Env[Any, Any]:
-    """An environment of MiniGrid by its id, in a `MiniGridWrapper`.
+    """Make a MiniGrid environment by its id, in a `MiniGridWrapper`.
 
     Args:
-        env_id: Such as ``MiniGrid-DoorKey-5x5-v0``.
-        mission: As `MiniGridWrapper` has it.
-        asked: As `MiniGridWrapper` has it.
-        last_action: Whether it is in a `LastActionObservation`, too.
-        **kwargs: Of ``gymnasium.make``.
+        env_id: Id, such as ``MiniGrid-DoorKey-5x5-v0``.
+        mission: As in `MiniGridWrapper`.
+        asked: As in `MiniGridWrapper`.
+        last_action: Whether to add a `LastActionObservation`.
+        **kwargs: Arguments of ``gymnasium.make``.
 
     Raises:
         ModuleNotFoundError: The package ``minigrid`` is not installed.
@@ -50,12 +50,12 @@ def make(
 
 
 def is_minigrid(env_id: str) -> bool:
-    """Whether it is one of MiniGrid's."""
+    """Whether an id is one of MiniGrid's."""
     return env_id.removeprefix(MODULE).startswith(PREFIXES)
 
 
 def qualified(env_id: str) -> str:
-    """An id of MiniGrid with its module, so that it is known in a process where nobody has registered it."""
+    """Add the module to a MiniGrid id, so that it works in a process that has not registered it."""
     return MODULE + env_id.removeprefix(MODULE)
 
 

@@ -1,4 +1,4 @@
-"""The missions of an environment of MiniGrid: their words as numbers, and the things that they name by colour."""
+"""The missions of a MiniGrid environment: their words as numbers, and the things that they name by colour."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ import numpy.typing as npt
 from sb3_options.envs.minigrid.retina import BALL, BOX, DOOR, KEY, MOST_ASKED
 
 MAX_MISSIONS = 4096
-"""Most missions of one environment that are told apart."""
+"""Maximum number of missions of one environment."""
 
 COLOURS = ("red", "green", "blue", "purple", "yellow", "grey")
-"""As ``minigrid.core.constants.COLOR_TO_IDX`` numbers them."""
+"""Colours, in the order of ``minigrid.core.constants.COLOR_TO_IDX``."""
 
 NAMED = {"door": DOOR, "room": DOOR, "key": KEY, "ball": BALL, "box": BOX}
-"""What a mission calls a thing that has a colour; a room is where its door is."""
+"""Names of coloured things in missions. A room is located by its door."""
 
 _THING = re.compile(rf"\b({'|'.join(COLOURS)})\b(?! goal\b)(?: ({'|'.join(NAMED)})\b)?")
-"""A goal is always green, and is a kind of its own."""
+"""A coloured thing, but no goal, which is always green and a kind of its own."""
 
 NO_THING = (0, -1)
-"""In the place of a thing that a mission does not name."""
+"""Placeholder for a thing that a mission does not name."""
 
 Vector = npt.NDArray[np.uint8]
 
 
 class Missions:
-    """All missions that an environment may give.
+    """All possible missions of an environment.
 
     Args:
-        space: Its ``MissionSpace``; None where missions do not count.
+        space: Its ``MissionSpace``; None if missions do not count.
 
     Attributes:
-        codes: The variable words of each, one-hot, (n, w); w is 0 where there is only one mission.
-        n_things: How many things each may name by colour, k.
+        codes: The variable words of each mission, one-hot, (n, w); w is 0 if there is only one mission.
+        n_things: Maximum number of things that a mission names by colour, k.
 
     Raises:
-        ValueError: They cannot be listed, or are too many.
+        ValueError: Missions cannot be listed, or are too many.
     """
 
     def __init__(self, space: Any) -> None:
@@ -62,30 +62,30 @@ class Missions:
         return int(self.codes.shape[1])
 
     def code(self, text: str) -> Vector | None:
-        """The code of a mission, (w,); None if it is unknown."""
+        """Return the code of a mission, (w,); None if it is unknown."""
         number = self._number.get(text)
         return None if number is None else self.codes[number]
 
     def things_in(self, code: bytes) -> bytes:
-        """The things that a mission names by colour, by the bytes of its code, for `things_of`."""
+        """Return the things that the mission of a code names by colour, for `things_of`."""
         return self._things.get(code, self._nothing)
 
 
 def bytes_of(things: Sequence[tuple[int, int]]) -> bytes:
-    """Objects and colours, for `things_of`."""
+    """Pack objects and colours, for `things_of`."""
     return np.array(things, dtype=np.int64).tobytes()
 
 
 def things_of(named: Sequence[bytes]) -> npt.NDArray[np.int64]:
-    """Object and colour of the things that missions name, (batch, k, 2).
+    """Unpack object and colour of the things that missions name, (batch, k, 2).
 
-    The object is 0 for any of the colour; the colour is -1 where a mission names fewer things than others.
+    The object is 0 for any thing of the colour. The colour is -1 if a mission names fewer things than others.
     """
     return np.frombuffer(b"".join(named), np.int64).reshape(len(named), -1, 2)
 
 
 def _listed(space: Any) -> tuple[Vector, list[str]]:
-    """The codes and texts of all missions of a space."""
+    """Return the codes and texts of all missions of a space."""
     from minigrid.core.mission import MissionSpace
 
     if type(space) is not MissionSpace:
@@ -108,6 +108,6 @@ def _listed(space: Any) -> tuple[Vector, list[str]]:
 
 
 def _things(text: str) -> list[tuple[int, int]]:
-    """The first things that a mission names by colour, in order, each once."""
+    """Return the first things that a mission names by colour, in order, without duplicates."""
     found = [(NAMED.get(name, 0), COLOURS.index(colour)) for colour, name in _THING.findall(text)]
     return list(dict.fromkeys(found))[:MOST_ASKED]

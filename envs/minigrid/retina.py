@@ -1,7 +1,7 @@
-"""The concept space of MiniGrid: for each kind of thing, where the nearest one in view is, relative to the agent.
+"""The concept space of MiniGrid: for each kind of thing, the place of the nearest one in view, relative to the agent.
 
-All is computed from the standard observation, an image (v, v, 3) of object, colour and state of the cells in view, in
-which the agent stands in the middle of the last row and looks towards the first. Nothing is read from the simulator.
+It is computed from the standard observation, an image (v, v, 3) of object, colour and state of the cells in view. The
+agent stands in the middle of the last row and looks towards the first. Nothing is read from the simulator.
 """
 
 from __future__ import annotations
@@ -13,48 +13,48 @@ import numpy as np
 import numpy.typing as npt
 
 WALL, FREE, DOOR, KEY, BALL, BOX, GOAL, LAVA = 2, (1, 3), 4, 5, 6, 7, 8, 9
-"""Objects as ``minigrid.core.constants.OBJECT_TO_IDX`` numbers them; ``FREE`` is empty and floor."""
+"""Objects, numbered as in ``minigrid.core.constants.OBJECT_TO_IDX``; ``FREE`` is empty and floor."""
 
 OPEN, CLOSED, LOCKED = 0, 1, 2
-"""States of a door, as ``minigrid.core.constants.STATE_TO_IDX`` numbers them."""
+"""States of a door, numbered as in ``minigrid.core.constants.STATE_TO_IDX``."""
 
 KINDS = ("closed_door", "open_door", "locked_door", "key", "ball", "box", "goal", "lava")
-"""The kinds of things. A thing that is carried is at 0, 0, where MiniGrid draws it."""
+"""The kinds of things. A carried thing is at 0, 0, where MiniGrid draws it."""
 
 AHEAD = ("wall_ahead", "free_ahead", "between_walls")
-"""Features of the cells beside the agent: 1 or 0. Between two walls, left and right, it is in a doorway or a corridor;
+"""Features of the cells around the agent: 1 or 0. Between walls on its left and right, it is in a doorway or corridor.
 MiniGrid does not draw the door that the agent stands in."""
 
 THING = ("visible", "forward", "lateral")
-"""Features of a thing: whether one is in view, and where."""
+"""Features of a thing: whether it is in view, and where."""
 
 FEATURES = (*(f"{kind}_{what}" for kind in KINDS for what in THING), *AHEAD)
-"""The names of the features, in order. ``visible`` is 1 or 0; ``forward`` is in cells, ≥ 0; ``lateral`` is in cells, to
-the right positive. Both are 0 where nothing of the kind is visible. The nearest thing is the one fewest steps away, so
-one that is carried hides all others of its kind."""
+"""The names of the features, in order. ``visible`` is 1 or 0. ``forward`` is in cells, ≥ 0. ``lateral`` is in cells,
+positive to the right. Both are 0 if nothing of the kind is visible. The nearest thing is the fewest steps away, so a
+carried thing hides all others of its kind."""
 
 SHUNNED = ("lava",)
-"""Kinds that make no group: what an agent must keep away from is rare too, and an option would lead there."""
+"""Kinds without a group: dangers are rare too, and an option would lead the agent there."""
 
 MOST_ASKED = 3
-"""Things of a mission that φ locates at most. It has features of as many in every task: options fit into all."""
+"""Maximum things of a mission that φ locates. Every task has features for this many, so options fit all tasks."""
 
 COLOURED = (DOOR, KEY, BALL, BOX)
-"""Objects that a mission may mean that names a colour alone."""
+"""Objects that a mission may mean if it names only a colour."""
 
 N_KINDS = len(KINDS)
 VISIBLE_SCALE = 10.0
-"""Factor of the features that are 1 or 0, which keeps what is visible and what is not farther apart than any radius."""
+"""Factor of the features that are 1 or 0. It separates visible from invisible by more than any radius."""
 
 PAIRS = (("key", "locked_door"), ("key", "closed_door"), ("ball", "open_door"), ("box", "key"))
-"""Pairs of kinds that may matter together: what is carried, or lies somewhere, and what it is for or in the way of."""
+"""Pairs of kinds that may matter together: a thing that is carried or lies around, and its use or what it blocks."""
 
 _NOTHING = N_KINDS
 _NUMBERS = np.arange(N_KINDS)[:, None]
 
 
 def _kinds() -> npt.NDArray[np.int8]:
-    """The kind of a cell by its object and state."""
+    """Return the kind of a cell by its object and state."""
     kinds = np.full((256, 256), _NOTHING, dtype=np.int8)
     for state, kind in ((CLOSED, "closed_door"), (OPEN, "open_door"), (LOCKED, "locked_door")):
         kinds[DOOR, state] = KINDS.index(kind)
@@ -71,15 +71,15 @@ _COLOURED = np.isin(np.arange(256), COLOURED)
 def retina(
     images: npt.NDArray[np.integer[Any]], asked: npt.NDArray[np.integer[Any]] | None = None
 ) -> npt.NDArray[np.float64]:
-    """φ of a batch of images of MiniGrid.
+    """Return φ of a batch of MiniGrid images.
 
     Args:
         images: The ``image`` of each observation, (batch, v, v, 3), column, row and channel.
-        asked: Things that the mission of each names, object and colour, (batch, k, 2); object 0 for any of the colour.
+        asked: Object and colour of the things that each mission names, (batch, k, 2); object 0 for any of the colour.
 
     Returns:
-        Features in the order of ``FEATURES``, and of each thing that is asked for whether the nearest is visible, and
-        where, (batch, 27 + 3k).
+        Features in the order of ``FEATURES``, then for each thing named whether the nearest is visible, and where,
+        (batch, 27 + 3k).
     """
     images = np.asarray(images)
     if images.ndim != 4 or images.shape[1] != images.shape[2] or images.shape[3] != 3:
@@ -112,12 +112,12 @@ class _Sight(NamedTuple):
     """The cells of a view.
 
     Attributes:
-        nearest_first: Their numbers by steps from the agent, column by column where these are as many, (v²,).
-        forward: Of each of them in this order, in cells.
-        lateral: Likewise.
-        ahead: The number of the cell ahead.
-        left: That of the one to the left.
-        right: To the right.
+        nearest_first: Cell indices by steps from the agent, ties column by column, (v²,).
+        forward: Forward distance of each cell in this order, in cells.
+        lateral: Lateral distance in this order, in cells.
+        ahead: Index of the cell ahead.
+        left: Index of the cell to the left.
+        right: Index of the cell to the right.
     """
 
     nearest_first: npt.NDArray[np.intp]
@@ -130,7 +130,7 @@ class _Sight(NamedTuple):
 
 @lru_cache
 def _sight(view: int) -> _Sight:
-    """The cells of a view that is so many cells wide."""
+    """Return the cells of a view, ``view`` cells wide."""
     middle, last = view // 2, view - 1
     columns, rows = np.divmod(np.arange(view * view), view)
     forward, lateral = last - rows, columns - middle
@@ -140,7 +140,7 @@ def _sight(view: int) -> _Sight:
 
 
 def _asked(objects: npt.NDArray[Any], colours: npt.NDArray[Any], asked: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
-    """Which cells hold what is asked for, (batch, k, cells)."""
+    """Return which cells hold the things named, (batch, k, cells)."""
     what, colour = asked[..., 0, None], asked[..., 1, None]
     coloured = _COLOURED[objects][:, None] & (colours[:, None] == colour)
     found: npt.NDArray[np.bool_] = coloured & ((what == 0) | (objects[:, None] == what))
@@ -148,27 +148,28 @@ def _asked(objects: npt.NDArray[Any], colours: npt.NDArray[Any], asked: npt.NDAr
 
 
 def feature_names(n_asked: int = 0) -> tuple[str, ...]:
-    """The names of all features, with those of ``n_asked`` things that a mission names: asked, asked_2 and so on."""
+    """Return the names of all features, including ``n_asked`` things of a mission: asked, asked_2 and so on."""
     asked = ("asked" if i == 0 else f"asked_{i + 1}" for i in range(n_asked))
     return (*FEATURES, *(f"{name}_{what}" for name in asked for what in THING))
 
 
 def concept_groups(n_asked: int = 0) -> list[dict[str, Any]]:
-    """Which features make a concept together: each kind of thing, `PAIRS` of them, a doorway, and what is asked for.
+    """Return the feature groups: each kind of thing, `PAIRS` of kinds, a doorway, and things of the mission.
 
-    What is to be shunned, lava, makes none; its features are for groups of your own.
+    Lava, which is to be avoided, has no group; its features are for groups of your own.
 
-    In a doorway one is ``between_walls``, whatever is in view: not the door that one stands in, perhaps the next.
+    In a doorway the agent is ``between_walls``, whatever is in view. It does not see the door that it stands in, but
+    perhaps the next one.
 
-    An option sees ``free_ahead`` besides, so that it can go around a wall. One into a doorway sees open doors, and one
-    to an open door closed ones, for it can begin before the door is open. Where things are are coordinates: a step
-    ahead brings them nearer, however far away they are.
+    An option also sees ``free_ahead``, to go around a wall. An option into a doorway also sees open doors. An option to
+    an open door also sees closed doors, because it can begin before the door is open. Places of things are coordinates:
+    a step ahead brings things nearer, however far away they are.
 
     Args:
-        n_asked: Things that a mission names.
+        n_asked: Number of things that a mission names.
 
     Returns:
-        Of each group the fields of `sb3_options.density.groups.FeatureGroup`.
+        The fields of `sb3_options.density.groups.FeatureGroup` for each group.
     """
     groups = [_group(kind) for kind in (*KINDS, "doorway") if kind not in SHUNNED]
     groups += [_joined(_group(one), _group(other)) for one, other in PAIRS]
@@ -194,7 +195,7 @@ def _doorway() -> dict[str, Any]:
 
 
 def _seeing(group: dict[str, Any]) -> dict[str, Any]:
-    """A group with the features that its options see."""
+    """Add the features that its options see to a group."""
     ahead = FEATURES.index("free_ahead")
     features = [*group["features"], ahead]
     present = group["present"]
@@ -210,7 +211,7 @@ def _seeing(group: dict[str, Any]) -> dict[str, Any]:
 
 
 def _is_coordinate(number: int) -> bool:
-    """Whether a feature says where a thing is. Of each thing the first says whether it is visible."""
+    """Whether a feature is a coordinate of a thing. The first feature of each thing is its visibility."""
     return number % 3 != 0 and not 3 * N_KINDS <= number < len(FEATURES)
 
 

@@ -1,4 +1,4 @@
-"""How options are discovered in MiniGrid."""
+"""Settings of discovery in MiniGrid."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ DISCOVERY: dict[str, Any] = {
     },
     "option_settings": {"grow": True},
 }
-"""Arguments of `SubgoalDiscoveryCallback` that suit MiniGrid; ``train.py`` has them, too.
+"""Arguments of `SubgoalDiscoveryCallback` for MiniGrid, also used by ``train.py``.
 
-Successes are rare at first, so discovery keeps many trajectories, and what is rarely come upon stands for them. On the
-few features of a group, near the start is nearly everywhere, and what stands out there need not persist for long.
-Options are learned anew as more is seen.
+Successes are rare at first, so discovery keeps many trajectories, and rare events stand for successes. On the few
+features of a group, nearly every state is near the start, so radii are small. A state that stands out need not persist
+for long. Options are learned again as experience grows.
 """

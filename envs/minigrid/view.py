@@ -1,6 +1,6 @@
-"""What an agent of MiniGrid sees, computed several times faster than by MiniGrid itself, and equal to it.
+"""Computes MiniGrid's observations several times faster than MiniGrid itself, with equal results.
 
-MiniGrid copies the cells in view into a new grid, and again for every quarter turn: most of the time of a step.
+MiniGrid spends most of a step copying the cells in view into a new grid, and again for every quarter turn.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy.typing as npt
 WALL_CODE = b"\x02\x05\x00"
 EMPTY_CODE = b"\x01\x00\x00"
 UNSEEN_CODE = b"\x00\x00\x00"
-"""Object, colour and state of a cell, as ``minigrid.core.constants`` numbers them."""
+"""Object, colour and state of a cell, numbered as in ``minigrid.core.constants``."""
 
 
 def see_quickly(env: Any) -> None:
-    """Let an environment of MiniGrid compute its observations with `image_of`.
+    """Let a MiniGrid environment compute its observations with `image_of`.
 
-    One whose class has a ``gen_obs`` or ``gen_obs_grid`` of its own is left as it is.
+    An environment with its own ``gen_obs`` or ``gen_obs_grid`` stays unchanged.
 
     Args:
         env: A ``MiniGridEnv``, without wrappers.
@@ -37,7 +37,7 @@ def _observation(env: Any) -> dict[str, Any]:
 
 
 def image_of(env: Any) -> npt.NDArray[np.uint8]:
-    """The image (v, v, 3) of what the agent sees: column, row, and object, colour and state.
+    """Return the agent's view (v, v, 3): column, row, and object, colour and state.
 
     Args:
         env: A ``MiniGridEnv``.
@@ -76,7 +76,7 @@ def image_of(env: Any) -> npt.NDArray[np.uint8]:
 
 @lru_cache
 def _turned(direction: int, view: int) -> tuple[tuple[int, int], ...]:
-    """Of each cell of the image, column by column, where it lies in the square in view, from its upper left corner."""
+    """Return for each cell of the image, column by column, its offset from the view's upper left corner."""
     square = np.stack(np.meshgrid(np.arange(view), np.arange(view), indexing="ij"), axis=-1)
     for _ in range(direction + 1):
         square = np.rot90(square, -1)
@@ -84,7 +84,7 @@ def _turned(direction: int, view: int) -> tuple[tuple[int, int], ...]:
 
 
 def _visible(transparent: list[bool], view: int) -> list[bool]:
-    """Which cells are lit from the agent's, row by row from the nearest on; column by column, as ``transparent``."""
+    """Return which cells the agent sees, column by column as ``transparent``. Light spreads from the nearest row."""
     visible = [False] * (view * view)
     row = 1 << view // 2
     for j in reversed(range(view)):
@@ -97,7 +97,7 @@ def _visible(transparent: list[bool], view: int) -> list[bool]:
 
 @lru_cache(maxsize=1 << 16)
 def _spread(lit: int, clear: int, view: int) -> tuple[int, int]:
-    """What is lit in a row, and by it in the row beyond: to the right, then to the left, as long as cells are clear.
+    """Spread light in a row to the right, then to the left, while cells are clear. Return this row and the next.
 
     Bit i of ``lit`` and ``clear`` is column i.
     """

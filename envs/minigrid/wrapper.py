@@ -1,4 +1,4 @@
-"""`MiniGridWrapper`: observations of MiniGrid as one vector of zeros and ones, and φ of them."""
+"""`MiniGridWrapper`: MiniGrid's observations as one vector of zeros and ones, with their φ."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from sb3_options.envs.minigrid.view import see_quickly
 OTHER_IMAGES = (
     "FullyObsWrapper", "OneHotPartialObsWrapper", "RGBImgObsWrapper", "RGBImgPartialObsWrapper", "SymbolicObsWrapper",
 )  # fmt: skip
-"""Wrappers of MiniGrid whose images are not what the agent sees, cell by cell."""
+"""Wrappers of MiniGrid whose images are not the agent's view, cell by cell."""
 
 OTHER_REWARDS = ("ActionBonus", "PositionBonus")
-"""Wrappers of MiniGrid that add a bonus to rewards, so that a death may end with one above 0."""
+"""Wrappers of MiniGrid that add a bonus to rewards, so that a death may end with a positive reward."""
 
 Vector = npt.NDArray[np.uint8]
 
@@ -32,25 +32,25 @@ class MiniGridWrapper(
     gym.ObservationWrapper[Vector, Any, dict[str, Any]],
     RecordConstructorArgs,
 ):
-    """Makes an environment of MiniGrid ready for Stable-Baselines3 and `OptionsWrapper`.
+    """Prepares a MiniGrid environment for Stable-Baselines3 and `OptionsWrapper`.
 
-    The observation is one vector of zeros and ones, for an ``MlpPolicy``: of every cell in view its object, colour and
-    state, one-hot, and of the mission its variable words, where it has any (a colour, say). `concept_features` is the
+    The observation is one vector of zeros and ones, for an ``MlpPolicy``. It holds the one-hot object, colour and state
+    of every cell in view, and the variable words of the mission, if any (a colour, say). `concept_features` is the
     retina, and `concept_groups` says which of its features belong together. At the end of an episode
-    ``info["is_success"]`` says whether it ended with a reward above 0. What the agent sees is computed quicker than by
+    ``info["is_success"]`` says whether it ended with a positive reward. Observations are computed faster than by
     MiniGrid (`see_quickly`).
 
-    Put it right around the environment that ``gymnasium.make`` gives.
+    Wrap the environment from ``gymnasium.make`` directly.
 
     Args:
-        env: An environment of MiniGrid; its observations have an ``image`` (v, v, 3) and a ``mission``.
-        mission: Whether the words of the mission are in the observation. Without them a model can go on in a task whose
-            missions are others.
-        asked: Whether φ says where the things are that the mission names by their colour, "the red ball". Without the
-            words of the mission these features are 0.
+        env: A MiniGrid environment; its observations have an ``image`` (v, v, 3) and a ``mission``.
+        mission: Whether the observation includes the words of the mission. Without them a model can continue in a task
+            with other missions.
+        asked: Whether φ locates the things that the mission names by colour, such as "the red ball". Without the words
+            of the mission these features are 0.
 
     Attributes:
-        feature_names: Of φ, in order.
+        feature_names: Names of the features of φ, in order.
 
     Raises:
         TypeError: ``env`` has other observations, or a wrapper beneath changes its rewards.
@@ -73,7 +73,7 @@ class MiniGridWrapper(
         self.observation_space: gym.Space[Any] = gym.spaces.Box(0, 1, (n_numbers,), np.uint8)
 
     def observation(self, observation: dict[str, Any]) -> Vector:
-        """The vector of an observation."""
+        """Return the vector of an observation."""
         image = np.asarray(observation["image"])
         cells = np.concatenate([_EYES[i][image[..., i]] for i in range(3)], axis=-1).ravel()
         if not self._missions.n_words:
@@ -87,7 +87,7 @@ class MiniGridWrapper(
         return np.concatenate([cells, words])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
-        """As the environment's."""
+        """Reset the environment."""
         try:
             return super().reset(seed=seed, options=options)
         except FileNotFoundError as error:
@@ -97,18 +97,18 @@ class MiniGridWrapper(
             ) from error
 
     def step(self, action: Any) -> tuple[Vector, SupportsFloat, bool, bool, dict[str, Any]]:
-        """As the environment's, with ``is_success`` at the end of an episode."""
+        """Step the environment, and add ``is_success`` at the end of an episode."""
         observation, reward, terminated, truncated, info = super().step(action)
         if terminated or truncated:
             info = {**info, "is_success": terminated and float(reward) > 0}
         return observation, reward, terminated, truncated, info
 
     def images(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-        """The images (batch, v, v, 3) in a batch of observations (batch, n)."""
+        """Return the images (batch, v, v, 3) of a batch of observations (batch, n)."""
         return _images(np.asarray(observations, dtype=np.uint8)[:, : self._n_cells], self._view)
 
     def concept_features(self, observations: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        """φ of a batch of observations: the `retina` of their images, and of up to three things of the mission.
+        """Return φ of a batch of observations: the `retina` of their images and up to three things of the mission.
 
         Returns:
             (batch, 36); (batch, 27) without ``asked``. Features of things that no mission of the task names are 0.
@@ -123,25 +123,25 @@ class MiniGridWrapper(
         return _features_of_one(cells, tuple(named), self._view, len(self.feature_names)).copy()
 
     def concept_groups(self) -> list[dict[str, Any]]:
-        """Which features of φ make a concept together."""
+        """Return which features of φ make a concept together."""
         return concept_groups(self._n_asked)
 
 
 _WORTH = np.zeros((DEPTH, 3), dtype=np.float32)
-"""What each number of the code of a cell says of its object, its colour and its state: the code is one-hot in each.
+"""Object, colour and state for each position of a cell's code, which is one-hot in each of the three.
 
-In floating point, because numpy multiplies matrices of integers without BLAS, which takes three times as long."""
+It is in floating point, because numpy multiplies integer matrices without BLAS, which takes three times as long."""
 for _channel, _n, _first in ((0, OBJECTS, 0), (1, COLOURS, OBJECTS), (2, STATES, OBJECTS + COLOURS)):
     _WORTH[_first : _first + _n, _channel] = np.arange(_n)
 
 
 def _images(cells: npt.NDArray[np.uint8], view: int) -> npt.NDArray[np.uint8]:
-    """The images (batch, v, v, 3) of cells (batch, v·v·21)."""
+    """Return the images (batch, v, v, 3) of cells (batch, v·v·21)."""
     return (cells.reshape(-1, DEPTH).astype(np.float32) @ _WORTH).astype(np.uint8).reshape(-1, view, view, 3)
 
 
 def _features(cells: npt.NDArray[np.uint8], named: Sequence[bytes], view: int, size: int) -> npt.NDArray[np.float64]:
-    """φ (batch, size) of cells (batch, v·v·21) and what the missions name; empty where they name nothing."""
+    """Return φ (batch, size) of cells (batch, v·v·21) and things that missions name, which may be empty."""
     seen = retina(_images(cells, view), things_of(named) if named else None)
     features = np.zeros((len(seen), size))
     features[:, : seen.shape[1]] = seen
@@ -150,7 +150,7 @@ def _features(cells: npt.NDArray[np.uint8], named: Sequence[bytes], view: int, s
 
 @lru_cache(maxsize=1 << 14)
 def _features_of_one(cells: bytes, named: tuple[bytes, ...], view: int, size: int) -> npt.NDArray[np.float64]:
-    """`_features` of one observation: environments side by side see the same again and again."""
+    """Return `_features` of one observation, cached: parallel environments often see the same."""
     return _features(np.frombuffer(cells, np.uint8)[None], named, view, size)
 
 
@@ -158,7 +158,7 @@ _EYES = tuple(np.eye(n, dtype=np.uint8) for n in (OBJECTS, COLOURS, STATES))
 
 
 def _view_of(env: gym.Env[Any, Any]) -> int:
-    """How many cells wide the agent's view is."""
+    """Return the width of the agent's view in cells."""
     space = env.observation_space
     shape = space["image"].shape if isinstance(space, gym.spaces.Dict) and "image" in space.spaces else None
     own = shape is not None and len(shape) == 3 and shape[0] == shape[1] and shape[0] % 2 == 1 and shape[2] == 3
@@ -174,14 +174,14 @@ def _view_of(env: gym.Env[Any, Any]) -> int:
 
 
 def _is_babyai(missions: Any) -> bool:
-    """Whether these are instructions by BabyAI's grammar."""
+    """Whether missions are instructions of BabyAI's grammar."""
     from minigrid.envs.babyai.core.roomgrid_level import BabyAIMissionSpace
 
     return isinstance(missions, BabyAIMissionSpace)
 
 
 def _check_rewards(env: gym.Env[Any, Any]) -> None:
-    """Refuse rewards that are not the environment's own, by which success is told."""
+    """Refuse rewards that are not the environment's own, because they define success."""
     for each in _wrappers(env):
         name = type(each).__name__
         if isinstance(each, gym.RewardWrapper) or name in OTHER_REWARDS:
@@ -192,7 +192,7 @@ def _check_rewards(env: gym.Env[Any, Any]) -> None:
 
 
 def _wrappers(env: gym.Env[Any, Any]) -> Iterator[gym.Wrapper[Any, Any, Any, Any]]:
-    """The wrappers of an environment, from outside."""
+    """Iterate over the wrappers of an environment, outermost first."""
     while isinstance(env, gym.Wrapper):
         yield env
         env = env.env

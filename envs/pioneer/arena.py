@@ -1,4 +1,4 @@
-"""The Pioneer's arena: four walls, round obstacles, and where robot, balls and obstacles may stand."""
+"""The Pioneer's arena: four walls, round obstacles, and valid places of robot, balls and obstacles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from sb3_options.envs.pioneer.body import BALL_RADIUS, BODY_RADIUS
 
 WALL_HEIGHT = 0.4
-"""m; higher than the sonar ring."""
+"""m; above the sonar ring."""
 
 WALL_THICKNESS = 0.1
 """m."""
@@ -20,28 +20,28 @@ OBSTACLE_RADIUS = 0.15
 """m."""
 
 CORNER_SIZE = 0.8
-"""Sides of the marked corner, a square, m."""
+"""Side of the marked square corner, m."""
 
 ROBOT_CLEARANCE = 0.5
-"""A robot starts with its axle's middle this far from walls and obstacles, m; it can then turn freely (0.41 m)."""
+"""Initial distance of the middle of the robot's axle from walls and obstacles, m. Turning freely takes 0.41 m."""
 
 BALL_CLEARANCE = 0.6
-"""A ball starts with its centre this far from walls and obstacles, m: where the robot can get at it from all sides."""
+"""Initial distance of a ball's centre from walls and obstacles, m. The robot can reach it from all sides."""
 
 PASSAGE = 0.85
-"""Free width between obstacles, and between an obstacle and a wall, m; the robot needs 0.82 m to turn with a ball."""
+"""Free width between obstacles, and between obstacle and wall, m. The robot needs 0.82 m to turn with a ball."""
 
 START_DISTANCE = 0.8
-"""Between the robot and a ball, and between two balls, at the start, m."""
+"""Initial distance between the robot and a ball, and between two balls, m."""
 
 N_PROBES = 200
-"""Placements tried before an arena is said to have no room."""
+"""Number of placements tried before an arena counts as too small."""
 
 N_SPOTS = 20
-"""Places tried for one thing of a placement."""
+"""Number of places tried for one thing of a placement."""
 
 GRIPPER_AHEAD, GRIPPER_RADIUS = 0.28, 0.14
-"""A circle around the paddles, m ahead of the axle and m."""
+"""A circle around the paddles: its centre, m ahead of the axle, and its radius, m."""
 
 Position = tuple[float, float]
 Distance = tuple[Sequence[Position], float]
@@ -49,14 +49,14 @@ Pose = tuple[float, float, float]
 
 
 class Box(NamedTuple):
-    """An upright static box: its middle and its half sides, m."""
+    """An upright static box: middle and half sides, m."""
 
     middle: tuple[float, float, float]
     half_sides: tuple[float, float, float]
 
 
 class Cylinder(NamedTuple):
-    """An upright static cylinder: its middle, radius and height, m."""
+    """An upright static cylinder: middle, radius and height, m."""
 
     middle: tuple[float, float, float]
     radius: float
@@ -64,7 +64,7 @@ class Cylinder(NamedTuple):
 
 
 class Placement(NamedTuple):
-    """Where things stand at the start.
+    """Initial places of things.
 
     Attributes:
         robot: x, y of the axle's middle, m, and heading, rad, counter-clockwise from +x.
@@ -78,14 +78,14 @@ class Placement(NamedTuple):
 
 
 class Arena:
-    """A square floor with walls around; the origin is in its middle, +x to the right and +y up."""
+    """A square floor surrounded by walls. The origin is in its middle, +x to the right and +y up."""
 
     def __init__(self, size: float, n_obstacles: int, n_balls: int) -> None:
         self.size = size
         self.half = size / 2
         self._n_obstacles = n_obstacles
         self._n_balls = n_balls
-        # A generator of its own: whether there is room must not depend on, or use up, an environment's numbers.
+        # A separate generator: the check must neither depend on an environment's generator nor advance it.
         probe = np.random.default_rng(0)
         if all(self._draw(probe) is None for _ in range(N_PROBES)):
             raise ValueError(
@@ -105,7 +105,7 @@ class Arena:
         ]
 
     def given(self, options: dict[str, Any]) -> dict[str, Any]:
-        """What the options of an environment's reset say of a `Placement`."""
+        """Read fields of a `Placement` from the options of an environment's reset."""
         shapes = {"robot": (3,), "balls": (self._n_balls, 2), "obstacles": (self._n_obstacles, 2)}
         fields: dict[str, Any] = {}
         for key, value in options.items():
@@ -124,20 +124,20 @@ class Arena:
 
     @staticmethod
     def obstacles(placement: Placement) -> list[Cylinder]:
-        """The obstacles of a placement."""
+        """Return the obstacles of a placement."""
         return [Cylinder((x, y, WALL_HEIGHT / 2), OBSTACLE_RADIUS, WALL_HEIGHT) for x, y in placement.obstacles]
 
     def wall_gap(self, x: float, y: float) -> float:
-        """Distance of a point from the nearest wall, m; negative outside."""
+        """Return the distance of a point from the nearest wall, m; negative outside."""
         return self.half - max(abs(x), abs(y))
 
     def in_marked_corner(self, x: float, y: float) -> bool:
-        """Whether a point is in the marked corner, the one of largest x and y."""
+        """Whether a point is in the marked corner, the one with the largest x and y."""
         edge = self.half - CORNER_SIZE
         return x >= edge and y >= edge
 
     def sample(self, rng: np.random.Generator, **given: Any) -> Placement:
-        """Draws a random placement."""
+        """Draw a random placement."""
         refusal = f"found no placement in {N_PROBES} tries: enlarge arena_size, {self.size:g} m"
         for _ in range(N_PROBES):
             placement = self._draw(rng)
@@ -152,7 +152,7 @@ class Arena:
         raise ValueError(refusal)
 
     def _overlap(self, placement: Placement) -> str:
-        """What in a placement is in a wall or in something else; empty if nothing is."""
+        """Say which thing of a placement overlaps a wall or another thing; empty if none does."""
         x, y, heading = placement.robot
         gripper = (x + GRIPPER_AHEAD * math.cos(heading), y + GRIPPER_AHEAD * math.sin(heading))
         things = [("the robot", (x, y), BODY_RADIUS), ("the robot's gripper", gripper, GRIPPER_RADIUS)]
@@ -168,7 +168,7 @@ class Arena:
         return ""
 
     def _draw(self, rng: np.random.Generator) -> Placement | None:
-        """One try at a placement."""
+        """Try to draw a placement once."""
         far_from_obstacles = OBSTACLE_RADIUS + BALL_CLEARANCE
         obstacles = self._scatter(rng, self._n_obstacles, OBSTACLE_RADIUS + PASSAGE, 2 * OBSTACLE_RADIUS + PASSAGE)
         if obstacles is None:
@@ -186,7 +186,7 @@ class Arena:
     def _scatter(
         self, rng: np.random.Generator, n: int, margin: float, apart: float, others: Sequence[Distance] = ()
     ) -> list[Position] | None:
-        """``n`` random places, ``margin`` from the walls and ``apart`` from each other, or None."""
+        """Draw ``n`` random places, ``margin`` from the walls and ``apart`` from each other, or return None."""
         places: list[Position] = []
         for _ in range(n):
             place = self._spot(rng, margin, [(places, apart), *others])
@@ -196,7 +196,7 @@ class Arena:
         return places
 
     def _spot(self, rng: np.random.Generator, margin: float, others: Sequence[Distance]) -> Position | None:
-        """A uniformly random place ``margin`` from the walls and far enough from the others, or None."""
+        """Draw a uniformly random place ``margin`` from the walls and far enough from others, or return None."""
         reach = self.half - margin
         if reach <= 0:
             return None

@@ -1,4 +1,4 @@
-"""A thin layer over PyBullet: one physics client, the bodies of a scene, and the few calls a step needs."""
+"""A thin layer over PyBullet: one physics client, the bodies of a scene, and the few calls of a step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Point = Sequence[float]
 
 
 def load_pybullet() -> ModuleType:
-    """Imports PyBullet, which is needed only by those who simulate."""
+    """Import PyBullet, which only simulations need."""
     try:
         import pybullet
     except ImportError as error:
@@ -35,22 +35,22 @@ def load_pybullet() -> ModuleType:
 
 
 class Bullet:
-    """A physics client of its own. It connects when the first scene is built.
+    """A separate physics client, which connects when the first scene is built.
 
-    A scene is built anew for every episode: nothing that Bullet remembers (contacts, warm starts, the order of
-    its pairs) then depends on what was simulated before, so one seed gives one trajectory, bit for bit.
+    Every episode builds a new scene. So nothing that Bullet remembers (contacts, warm starts, the order of its pairs)
+    depends on earlier simulation, and one seed gives one trajectory, bit for bit.
 
     Args:
         tick: Simulated time of one call of ``stepSimulation``, s.
-        substeps: Physics steps in a tick.
-        solver_iterations: Of the constraint solver, per physics step.
+        substeps: Physics steps per tick.
+        solver_iterations: Iterations of the constraint solver per physics step.
         gui: Whether to open Bullet's own window.
 
     Attributes:
         p: The ``pybullet`` module.
-        client: The number of the physics client; -1 while there is none.
-        looks: Number of the visual shape that bodies are to have. Without a window that is a speck: meshes like the
-            bodies themselves, which nobody sees, would take most of the time of building a scene.
+        client: The number of the physics client; -1 without one.
+        looks: Number of the visual shape of bodies. Without a window it is a speck: invisible meshes of the bodies
+            would take most of the time of building a scene.
     """
 
     def __init__(self, tick: float, substeps: int, solver_iterations: int, *, gui: bool = False) -> None:
@@ -63,7 +63,7 @@ class Bullet:
         self._gui = gui
 
     def clear(self) -> None:
-        """Removes all bodies; connects first if need be."""
+        """Remove all bodies; connect first if necessary."""
         if self.client < 0:
             self._connect()
         p, client = self.p, self.client
@@ -80,7 +80,7 @@ class Bullet:
             self.looks = int(p.createVisualShape(p.GEOM_BOX, halfExtents=(0.01, 0.01, 0.01), physicsClientId=client))
 
     def add_static(self, boxes: Sequence[Box], cylinders: Sequence[Cylinder]) -> int:
-        """Adds boxes and cylinders as one immovable body, and returns its number."""
+        """Add boxes and cylinders as one immovable body, and return its number."""
         p, client = self.p, self.client
         shape = p.createCollisionShapeArray(
             shapeTypes=[p.GEOM_BOX] * len(boxes) + [p.GEOM_CYLINDER] * len(cylinders),
@@ -93,15 +93,15 @@ class Bullet:
         return int(p.createMultiBody(0, shape, self.looks, physicsClientId=client))
 
     def add_floor(self) -> int:
-        """Adds the plane z = 0, and returns its number."""
+        """Add the plane z = 0, and return its number."""
         shape = self.p.createCollisionShape(self.p.GEOM_PLANE, physicsClientId=self.client)
         floor = int(self.p.createMultiBody(0, shape, self.looks, physicsClientId=self.client))
-        # Bullet multiplies the frictions of what touches: with 1 here, that of the other body holds.
+        # Bullet multiplies the frictions of touching bodies: with 1 here, the other body's holds.
         self.p.changeDynamics(floor, -1, lateralFriction=1, physicsClientId=self.client)
         return floor
 
     def add_ball(self, mass: float, radius: float, x: float, y: float, **dynamics: float) -> int:
-        """Adds a ball that lies on the floor, and returns its number."""
+        """Add a ball on the floor, and return its number."""
         p, client = self.p, self.client
         shape = p.createCollisionShape(p.GEOM_SPHERE, radius=radius, physicsClientId=client)
         ball = int(p.createMultiBody(mass, shape, self.looks, basePosition=(x, y, radius), physicsClientId=client))
@@ -109,28 +109,28 @@ class Bullet:
         return ball
 
     def set_filter(self, body: int, link: int, group: int, mask: int) -> None:
-        """Puts a link (-1: the base) into a group, and lets it collide only with the groups in the mask."""
+        """Put a link (-1: the base) into a group, and let it collide only with the groups in the mask."""
         self.p.setCollisionFilterGroupMask(body, link, group, mask, physicsClientId=self.client)
 
     def position(self, body: int) -> tuple[float, float, float]:
-        """Where a body is, m."""
+        """Return the position of a body, m."""
         position: tuple[float, float, float] = self.p.getBasePositionAndOrientation(body, physicsClientId=self.client)[
             0
         ]
         return position
 
     def place(self, body: int, x: float, y: float, z: float) -> None:
-        """Puts a body somewhere, m, upright and at rest."""
+        """Put a body at a position, m, upright and at rest."""
         self.p.resetBasePositionAndOrientation(body, (x, y, z), (0, 0, 0, 1), physicsClientId=self.client)
         self.p.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self.client)
 
     def ray_fractions(self, starts: Sequence[Point], ends: Sequence[Point], mask: int) -> list[float]:
-        """How far along each ray the first hit is, 0..1; 1 where nothing is hit."""
+        """Return how far along each ray the first hit is, 0..1; 1 without a hit."""
         hits = self.p.rayTestBatch(starts, ends, collisionFilterMask=mask, physicsClientId=self.client)
         return [hit[2] for hit in hits]
 
     def close(self) -> None:
-        """Disconnects; a second call does nothing."""
+        """Disconnect; a second call does nothing."""
         if self.client >= 0:
             self.client = -1
             self._disconnect()
@@ -151,7 +151,7 @@ class Bullet:
             )
             raise gymnasium.error.Error(f"PyBullet could not open {what}")
         self.client = int(client)
-        # Also for those who forget to close: Bullet has only so many clients.
+        # Also if somebody forgets to close: Bullet has a limited number of clients.
         self._disconnect = weakref.finalize(self, _disconnect, p, self.client)
 
 
@@ -161,7 +161,7 @@ def _disconnect(p: Any, client: int) -> None:
 
 
 def _has_display() -> bool:
-    """Whether a window can be opened; without an X server Bullet would not say so, but wait for ever."""
+    """Whether a window can be opened; without an X server Bullet would wait for ever."""
     if not sys.platform.startswith("linux"):
         return True
     library = ctypes.util.find_library("X11")

@@ -1,4 +1,4 @@
-"""The Pioneer in PyBullet: its body, built of Bullet's shapes, and the scene around it."""
+"""The Pioneer in PyBullet: its body, made of Bullet's shapes, and the scene around it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sb3_options.envs.pioneer.bullet import Bullet
 from sb3_options.envs.pioneer.simulator import Point, Simulator
 
 SOLVER_ITERATIONS = 10
-"""Of Bullet's default 50: a robot on three wheels needs few."""
+"""Bullet's default is 50, but a robot on three wheels needs few."""
 
 BALL_DYNAMICS = {
     "lateralFriction": body.BALL_FRICTION,
@@ -25,14 +25,14 @@ BALL_DYNAMICS = {
 RAY, FLOOR, SOLID, BALL, BODY, WHEEL = 1, 2, 4, 8, 16, 32
 """Collision groups.
 
-Bullet's rays are in the first, and hit only what is ready to collide with it: walls and obstacles. Only wheels and
-caster meet the floor, and only body and paddles meet walls and balls: the wheels are balls here (one point of contact
-each, and no scrubbing), which stick out of the body.
+Bullet's rays are in the first group, and hit only bodies whose mask includes it: walls and obstacles. Only wheels and
+caster meet the floor. Only body and paddles meet walls and balls, because the wheels stick out of the body: they are
+balls here (one point of contact each, and no scrubbing).
 """
 
 
 def add_body(bullet: Bullet, x: float, y: float, heading: float) -> int:
-    """Builds the robot at a pose (m, rad), and returns its number; its joints 0 and 1 are the left and right wheel."""
+    """Build the robot at a pose (m, rad), and return its number. Joints 0 and 1 are the left and right wheel."""
     p, client = bullet.p, bullet.client
     paddle_x = body.PADDLE_TIP - body.PADDLE_HALF_SIDES[0]
     paddle_y = body.PADDLE_OPENING / 2 + body.PADDLE_HALF_SIDES[1]
@@ -85,7 +85,7 @@ TORQUES = (body.MOTOR_TORQUE, body.MOTOR_TORQUE)
 
 
 class BulletSimulator(Simulator):
-    """A scene of its own in PyBullet."""
+    """A separate scene in PyBullet."""
 
     def __init__(self, *, gui: bool = False) -> None:
         self.bullet = Bullet(1 / body.CONTROL_RATE, body.PHYSICS_RATE // body.CONTROL_RATE, SOLVER_ITERATIONS, gui=gui)
@@ -140,7 +140,7 @@ class BulletSimulator(Simulator):
         if not contacts:
             return False
         mine = {self._robot} if held is None else {self._robot, self._balls[held]}
-        # Of a contact, 2 is the other body's number and 8 the distance between the surfaces, m: Bullet also reports
+        # In a contact, 2 is the other body's number and 8 the distance of the surfaces, m: Bullet also reports
         # neighbours that do not touch.
         return any(contact[2] in mine and contact[8] < body.CONTACT_GAP for contact in contacts)
 
@@ -149,14 +149,14 @@ class BulletSimulator(Simulator):
         return self.bullet.ray_fractions(starts, ends, SOLID)
 
     def close(self) -> None:
-        """Disconnects; a second call does nothing."""
+        """Disconnect; a second call does nothing."""
         self.bullet.close()
 
     def _set_grip(self, ball: int, force: float) -> None:
         self.bullet.p.changeConstraint(self._grips[ball], maxForce=force, physicsClientId=self.bullet.client)
 
     def _add_grip(self, ball: int) -> int:
-        """A joint between gripper and ball that is always there, and has a force only while the gripper is closed."""
+        """Add a permanent joint between gripper and ball, which exerts force only while the gripper is closed."""
         p, client = self.bullet.p, self.bullet.client
         grip = p.createConstraint(
             self._robot,

@@ -15,9 +15,9 @@ from sb3_options.envs.pioneer.arena import CORNER_SIZE, OBSTACLE_RADIUS, Placeme
 from sb3_options.envs.pioneer.senses import CAMERA_AHEAD, FIELD_OF_VIEW, SONARS, Sensed
 
 PICTURE_WIDTH, PICTURE_HEIGHT = 480, 544
-"""px; multiples of 16, because video encoders pad other sizes."""
+"""px, multiples of 16, because video encoders pad other sizes."""
 
-_SMOOTH = 2  # Everything is drawn this many times as large, and then reduced.
+_SMOOTH = 2  # The picture is drawn this many times as large, and then reduced.
 _WALL_PX = 14 * _SMOOTH
 _SIDE_PX = PICTURE_WIDTH * _SMOOTH
 _STRIP_TOP = (PICTURE_WIDTH + 12) * _SMOOTH
@@ -64,7 +64,7 @@ class Renderer:
     Args:
         half: Half of the arena's inner side, m.
         deposit_gap: Balls whose centre is this close to a wall count as deposited, m.
-        corner_only: Whether they do so in the marked corner only.
+        corner_only: Whether balls count only in the marked corner.
     """
 
     def __init__(self, half: float, deposit_gap: float, *, corner_only: bool) -> None:
@@ -75,7 +75,7 @@ class Renderer:
         self._backgrounds: dict[tuple[Position, ...], Image.Image] = {}
 
     def draw(self, placement: Placement, scene: Scene) -> NDArray[np.uint8]:
-        """Draws a scene, (PICTURE_HEIGHT, PICTURE_WIDTH, 3)."""
+        """Draw a scene, (PICTURE_HEIGHT, PICTURE_WIDTH, 3)."""
         if placement.obstacles not in self._backgrounds:
             self._backgrounds = {placement.obstacles: self._background(placement.obstacles)}
         image = self._backgrounds[placement.obstacles].copy()
@@ -124,7 +124,7 @@ class Renderer:
         return image
 
     def _draw_cone(self, pen: ImageDraw.ImageDraw, pose: Pose) -> None:
-        """The field of view up to the walls: a tinted area with dashed edges."""
+        """Draw the field of view up to the walls, as a tinted area with dashed edges."""
         eye, heading = _ahead(pose, CAMERA_AHEAD), pose[2]
         angles = [heading + FIELD_OF_VIEW * (i / 48 - 0.5) for i in range(49)]
         corners = (
@@ -139,7 +139,7 @@ class Renderer:
             _dashed(pen, self._px(eye), self._px(end))
 
     def _wall_point(self, start: Point, angle: float) -> Point:
-        """Where a ray from inside the arena meets its walls."""
+        """Return the point where a ray from inside the arena meets a wall."""
         dx, dy = math.cos(angle), math.sin(angle)
         reach = min(
             (math.copysign(self._half, direction) - place) / direction
@@ -196,7 +196,7 @@ class Renderer:
 
 
 def _ahead(pose: Pose, ahead: float, left: float = 0.0) -> Point:
-    """A point of the robot's frame in the arena, m."""
+    """Convert a point of the robot's frame to the arena, m."""
     x, y, heading = pose
     cos, sin = math.cos(heading), math.sin(heading)
     return x + ahead * cos - left * sin, y + ahead * sin + left * cos
@@ -212,7 +212,7 @@ def _dashed(pen: ImageDraw.ImageDraw, start: Point, end: Point) -> None:
 
 
 def _draw_retina(pen: ImageDraw.ImageDraw, sensed: Sensed) -> None:
-    """The strip below: the ball's interval on a dark ground, and a mark for straight ahead."""
+    """Draw the strip below: the balls' intervals on a dark ground, and a mark for straight ahead."""
     left, right = _WALL_PX, _SIDE_PX - _WALL_PX
     pen.rectangle((left, _STRIP_TOP, right, _STRIP_BOTTOM), fill=_RETINA)
     for sighting in sensed.sightings:

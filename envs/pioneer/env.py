@@ -63,7 +63,7 @@ ACTIONS = (
     Motion(turn=math.radians(-10)),
     Motion(turn=math.radians(-45)),
 )
-"""Three distances forward, two left and two right rotations: McGovern & Barto (2001), §7."""
+"""Three forward distances, two left and two right turns: McGovern & Barto (2001), §7."""
 
 DEPOSIT_GAP = 0.2
 """A ball is close to a wall if its surface is this near, m."""
@@ -77,63 +77,62 @@ TICKS_PER_PICTURE = 3
 """Control ticks between the pictures of render mode "rgb_array_list": ten a second."""
 
 MAX_ARENA_SIZE = 100.0
-"""m; balls that were taken away lie outside."""
+"""m; balls taken away lie outside."""
 
 MAX_STEPS = 500
-"""By default; a good policy needs a dozen."""
+"""Default step limit. A good policy needs a dozen steps."""
 
 N_SONARS = len(SONARS)
 VISIBLE, DISPLACEMENT, WIDTH, GRIPPING = range(N_SONARS, N_SONARS + 4)
-"""Where the observation has them, after the sonars' ranges."""
+"""Their indices in the observation, after the sonars' ranges."""
 
 
 class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
     """A Pioneer 2-DX in a walled arena finds a ball, grips it, and leaves it close to a wall.
 
     Actions 0..6 are the `ACTIONS`: forward by three distances, left by two angles, right by two angles. The gripper
-    has no action: it closes by itself when a ball is between its paddles, and opens at the end of an action that
-    began with the ball in it and ends with the ball where it may be deposited. The observation of that step still shows
-    the ball where it was left, in front of the open gripper; then it is taken away. An action
-    that touches a wall or an obstacle, with the robot or with the ball in the gripper, ends there: the robot rolls back
-    5 cm and turns to where it looked before, so that it never gets stuck.
+    has no action. It closes by itself when a ball is between its paddles. It opens at the end of an action that began
+    with the ball in it and ends with the ball in a place for deposits. The observation of that step still shows the
+    ball in front of the open gripper; then the ball is taken away. An action ends when the robot, or the ball in its
+    gripper, touches a wall or an obstacle. The robot then rolls back 5 cm and turns back to its earlier heading, so
+    that it never gets stuck.
 
     Each step costs 0.1, a touch 1 more, and a deposited ball earns 10. An episode terminates when the last ball is
-    deposited, and truncates after ``max_steps`` steps. The ``info`` of each step says
+    deposited, and truncates after ``max_steps`` steps. The ``info`` of each step has
 
-    - ``is_success``: whether the last ball was deposited with it,
-    - ``deposited``: whether a ball was,
+    - ``is_success``: whether this step deposited the last ball,
+    - ``deposited``: whether it deposited a ball,
     - ``gripping``: whether there is a ball in the gripper,
     - ``touched_wall``: whether a wall or an obstacle was touched,
-    - ``cause``: why the episode ended, ``"wall"`` or ``"corner"`` for where the last ball was deposited, or
-      ``"step limit"``; empty while it goes on.
+    - ``cause``: why the episode ended: ``"wall"`` or ``"corner"``, where the last ball was deposited, or
+      ``"step limit"``; empty before the end.
 
     The observation is float32, of shape (11,):
 
     - 0..6: the sonars' ranges, m, from left to right; they look over the balls,
-    - 7: whether a ball is to be seen, 0 or 1,
-    - 8: its displacement, the bearing of the middle of what is seen of it, rad, positive to the left,
-    - 9: its width, the angle it takes up, rad; with displacement 0 where there is none, and of two balls the wider,
+    - 7: whether a ball is visible, 0 or 1,
+    - 8: its displacement, the bearing of the middle of its visible part, rad, positive to the left,
+    - 9: its angular width, rad; width and displacement are 0 without a ball, and of two balls the wider counts,
     - 10: whether the gripper holds a ball, 0 or 1;
 
     with ``observation="retina"`` the retina's 70 pixels follow, from left to right, 1 where a ball is.
 
-    The task, actions, senses and rewards are those of McGovern & Barto (2001), §7. What simulates the robot is the
-    subclass's: PyBullet in `Pioneer`, MuJoCo in `sb3_options.envs.pioneer.twin.PioneerMuJoCo`.
+    The task, actions, senses and rewards follow McGovern & Barto (2001), §7. Subclasses choose the simulator: PyBullet
+    in `Pioneer`, MuJoCo in `sb3_options.envs.pioneer.twin.PioneerMuJoCo`.
 
     Args:
         arena_size: Side of the square arena, m, at most ``MAX_ARENA_SIZE``.
-        n_obstacles: Round obstacles in it.
-        n_balls: Balls in it.
-        deposit: Where a ball may be deposited: close to any wall, or in the marked corner only, the one of largest x
-            and y.
+        n_obstacles: Number of round obstacles.
+        n_balls: Number of balls.
+        deposit: Where a ball may be deposited: close to any wall, or only in the marked corner, the one with the
+            largest x and y.
         max_steps: Steps after which an episode truncates; None for never.
-        observation: What the agent senses.
-        render_mode: ``"rgb_array"`` for a picture at a time, ``"rgb_array_list"`` for all pictures since the last call,
-            ten for each second that the robot moves, ``"human"`` for the simulator's own window, if it has one, in
-            which it moves as fast as it would in the world.
+        observation: Kind of observation.
+        render_mode: ``"rgb_array"`` for one picture, ``"rgb_array_list"`` for all pictures since the last call, ten per
+            second of motion, ``"human"`` for the simulator's own window, if it has one, in real time.
 
     Attributes:
-        simulator: In which the robot moves.
+        simulator: The simulator of the robot.
     """
 
     # Gymnasium declares it as an instance attribute, so it cannot be a ClassVar.
@@ -186,12 +185,12 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Starts an episode.
+        """Start an episode.
 
         Args:
-            seed: Seed of the environment's random numbers; None goes on with those there are.
-            options: Where things are to stand instead of at random: ``"robot"`` is (x, y, heading) in m and rad,
-                ``"balls"`` and ``"obstacles"`` are lists of (x, y) in m. The origin is in the arena's middle.
+            seed: Seed of the environment's random generator; None leaves the generator as it is.
+            options: Places of things, instead of random ones: ``"robot"`` is (x, y, heading) in m and rad, ``"balls"``
+                and ``"obstacles"`` are lists of (x, y) in m. The origin is in the arena's middle.
 
         Returns:
             The first observation, and an empty info.
@@ -209,7 +208,7 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         return observation, {}
 
     def step(self, action: SupportsIndex) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Carries out one of the `ACTIONS`.
+        """Carry out one of the `ACTIONS`.
 
         Args:
             action: 0..6.
@@ -255,22 +254,22 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
 
     @property
     def robot_pose(self) -> Pose:
-        """x, y of the middle of the robot's axle, m, and its heading, rad, counter-clockwise from +x."""
+        """x, y of the middle of the robot's axle, m, and the heading, rad, counter-clockwise from +x."""
         return self._robot.pose
 
     @property
     def ball_positions(self) -> dict[int, Position]:
-        """x, y of the centre of each ball that has not been deposited, m."""
+        """x, y of the centre of each ball not yet deposited, m."""
         return dict(self._robot.balls)
 
     def concept_features(self, observations: NDArray[Any]) -> NDArray[np.float64]:
-        """Where the ball is on the retina: the space in which the paper looks for subgoals.
+        """Return the ball's place on the retina: the space in which the paper searches for subgoals.
 
         Args:
             observations: A batch of observations of this environment, shape ``(batch, *observation shape)``.
 
         Returns:
-            Displacement and width, rad, shape (batch, 2); both are 0 where no ball is to be seen.
+            Displacement and width, rad, shape (batch, 2); both are 0 if no ball is visible.
         """
         observations = np.asarray(observations)
         expected = self.observation_space.shape
@@ -281,11 +280,11 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         return observations[:, [DISPLACEMENT, WIDTH]].astype(np.float64)
 
     def render(self) -> RenderFrame | list[RenderFrame] | None:
-        """Draws the arena from above; in render mode "human" the simulator's window shows itself.
+        """Draw the arena from above; in render mode "human" the simulator has its own window.
 
         Returns:
-            For ``"rgb_array"`` a uint8 picture of shape (544, 480, 3), for ``"rgb_array_list"`` a list of them, else
-            None.
+            For ``"rgb_array"`` a uint8 picture of shape (544, 480, 3), for ``"rgb_array_list"`` a list of pictures,
+            else None.
         """
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without a render mode: pass render_mode='rgb_array'")
@@ -299,13 +298,13 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         return pictures if self.render_mode == "rgb_array_list" else None
 
     def close(self) -> None:
-        """Frees the simulator; a second call does nothing."""
+        """Free the simulator; a second call does nothing."""
         self._closed = True
         self.simulator.close()
 
     @abstractmethod
     def _make_simulator(self, *, window: bool) -> Simulator:
-        """The simulator of this environment alone, with or without a window."""
+        """Make this environment's own simulator, with or without a window."""
 
     def _observe(self) -> NDArray[np.float32]:
         robot = self._robot
@@ -316,7 +315,7 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         return np.concatenate((numbers, retina(seen))) if self._with_retina else numbers
 
     def _film(self) -> None:
-        """Takes a picture in the middle of an action, now and then."""
+        """Take a picture every few ticks of an action."""
         self._ticks += 1
         if self._ticks % TICKS_PER_PICTURE == 0 and self._placement is not None:
             self._observe()
@@ -342,7 +341,7 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
 
 
 class Pioneer(PioneerTask):
-    """The robot in PyBullet, which has wheels up to CPython 3.11; arguments are those of `PioneerTask`.
+    """The robot in PyBullet, which has wheels up to CPython 3.11. It takes the arguments of `PioneerTask`.
 
     Render mode ``"human"`` opens Bullet's own window.
     """
@@ -358,7 +357,7 @@ class Pioneer(PioneerTask):
 
 
 def _wait() -> None:
-    """Lets a person watch: Bullet simulates faster than a robot moves."""
+    """Wait, so that people can watch: Bullet simulates faster than a robot moves."""
     time.sleep(1 / CONTROL_RATE)
 
 

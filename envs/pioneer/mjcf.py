@@ -1,7 +1,7 @@
-"""The Pioneer's scene as MJCF, MuJoCo's XML: the body, the balls, walls and obstacles, and what may touch what.
+"""The Pioneer's scene as MJCF, MuJoCo's XML: the body, balls, walls, obstacles, and pairs that may touch.
 
-Sizes, masses, inertias, friction and damping are those of the scene in PyBullet. What touches is listed pair by pair,
-because MuJoCo would take the larger of two frictions, and Bullet multiplies them.
+Sizes, masses, inertias, friction and damping are those of the scene in PyBullet. Contacts are listed pair by pair,
+because MuJoCo would take the larger of two frictions, while Bullet multiplies them.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from sb3_options.envs.pioneer import body
 from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement
 
 BODY_GEOMS = ("body", "left paddle", "right paddle")
-"""What of the robot touches walls and balls; its wheels are balls, which stick out of the body."""
+"""Parts of the robot that touch walls and balls. Its wheels do not: they are balls that stick out of the body."""
 
 SOLID_GROUP, OTHER_GROUP = 1, 0
-"""Groups of geoms: walls and obstacles, which rays meet, and all else."""
+"""Groups of geoms: walls and obstacles, which rays hit, and all others."""
 
 MOTOR_GAIN = 0.95
 """N m s / rad. With it each action takes as long as in PyBullet (12, 18, 27, 9 and 18 ticks for the five sizes), and
-ends within 4 mm and 0.2 degrees of where it ends there: measured, with gains from 0.3 to 1.8. Bullet's motors are
-constraints without a gain, but ten iterations of its solver bring a wheel only part of the way to its velocity."""
+ends within 4 mm and 0.2 degrees of PyBullet's end. It was chosen by measurement among gains from 0.3 to 1.8. Bullet's
+motors are constraints without a gain, but ten solver iterations bring a wheel only part of the way to its velocity."""
 
 HARDNESS = {"solref": f"{2 / body.PHYSICS_RATE:g} 1", "solimp": "0.9 0.95 0.001"}
-"""As hard as MuJoCo makes contacts by default and the time step allows. Harder ones let the wheels hop when the gripper
-closes on a ball, and wheels in the air spin up: actions then take up to twice as long as in PyBullet."""
+"""As hard as MuJoCo's default contacts and the time step allow. With harder ones the wheels hop when the gripper closes
+on a ball, and spin up in the air. Actions then take up to twice as long as in PyBullet."""
 
 SINK = 6e-4
-"""How deep robot and balls lie in the floor at rest, m: they start so, because where nothing presses nothing rubs."""
+"""Depth of robot and balls in the floor at rest, m. They start there, because without pressure there is no friction."""
 
 
 def mjcf(placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> str:
-    """The scene as MJCF."""
+    """Return the scene as MJCF."""
     root = Element("mujoco", model="Pioneer 2-DX")
     _add(root, "compiler", angle="radian", autolimits="true")
     _add(
@@ -61,7 +61,7 @@ def mjcf(placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinde
     _add_contacts(root, len(walls) + len(obstacles), n_balls)
     equality = _add(root, "equality")
     for i in range(n_balls):
-        # Between sites, because an anchor would be where the ball is at the start.
+        # Between sites, because an anchor would be at the ball's initial place.
         sites = {"site1": "grip", "site2": ball_name(i)}
         _add(equality, "connect", name=grip_name(i), active="false", **sites, **HARDNESS)
     actuator = _add(root, "actuator")
@@ -72,22 +72,22 @@ def mjcf(placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinde
 
 
 def solid_name(i: int) -> str:
-    """Of the geom of a wall or an obstacle."""
+    """Return the name of the geom of a wall or an obstacle."""
     return f"solid {i}"
 
 
 def ball_name(i: int) -> str:
-    """Of the body and of the geom of a ball."""
+    """Return the name of the body and of the geom of a ball."""
     return f"ball {i}"
 
 
 def grip_name(i: int) -> str:
-    """Of the constraint between gripper and ball, which is active only while the gripper is closed on it."""
+    """Return the name of the constraint between gripper and ball, active only while the gripper holds it."""
     return f"grip {i}"
 
 
 _UNPAIRED = {"contype": "0", "conaffinity": "0"}
-"""Nothing touches but the pairs."""
+"""Only listed pairs touch."""
 
 
 def _add_robot(world: Element, placement: Placement) -> None:
@@ -95,7 +95,7 @@ def _add_robot(world: Element, placement: Placement) -> None:
     turned = _numbers(math.cos(heading / 2), 0, 0, math.sin(heading / 2))
     robot = _add(world, "body", name="robot", pos=_numbers(x, y, body.MIDDLE_HEIGHT - SINK), quat=turned)
     _add(robot, "freejoint", name="robot")
-    # Bullet takes the inertia of the box around body and paddles; so does this.
+    # The inertia is that of the box around body and paddles, as in Bullet.
     bottom = body.PADDLE_HEIGHT - body.PADDLE_HALF_SIDES[2]
     sides = (body.BODY_RADIUS + body.PADDLE_TIP, 2 * body.BODY_RADIUS, body.BODY_TOP - min(body.BODY_BOTTOM, bottom))
     _inertial(
@@ -125,7 +125,7 @@ def _add_ball(world: Element, name: str, x: float, y: float) -> None:
 
 
 def _sphere(parent: Element, name: str, middle: tuple[float, float, float], radius: float, mass: float) -> Element:
-    """A body that is a solid sphere."""
+    """Add a body that is a solid sphere."""
     built = _add(parent, "body", name=name, pos=_numbers(*middle))
     _inertial(built, mass, *[0.4 * mass * radius * radius] * 3)
     _add(built, "geom", name=name, type="sphere", size=_numbers(radius), **_UNPAIRED)

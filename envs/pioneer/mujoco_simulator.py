@@ -18,10 +18,10 @@ from sb3_options.envs.pioneer.simulator import Point, Simulator
 from sb3_options.extras import how_to_install
 
 TICK = body.PHYSICS_RATE // body.CONTROL_RATE
-"""Physics steps in a tick of the controllers."""
+"""Physics steps per controller tick."""
 
 N_GROUPS = 6
-"""Groups of geoms that MuJoCo has."""
+"""Number of MuJoCo's geom groups."""
 
 
 BALL_INERTIA = 0.4 * body.BALL_MASS * body.BALL_RADIUS**2
@@ -29,7 +29,7 @@ BALL_INERTIA = 0.4 * body.BALL_MASS * body.BALL_RADIUS**2
 
 
 def load_mujoco() -> ModuleType:
-    """Imports MuJoCo, which is needed only by those who simulate."""
+    """Import MuJoCo, which only simulations need."""
     try:
         import mujoco
     except ImportError as error:
@@ -42,7 +42,7 @@ def load_mujoco() -> ModuleType:
 
 
 class MuJoCoSimulator(Simulator):
-    """A scene of its own in MuJoCo; it is compiled anew for every episode, which takes about a millisecond.
+    """A separate scene in MuJoCo. It is compiled for every episode, which takes about a millisecond.
 
     Attributes:
         model: MuJoCo's ``MjModel``; None before the first `build`.
@@ -63,7 +63,7 @@ class MuJoCoSimulator(Simulator):
         self.model = model = mujoco.MjModel.from_xml_string(mjcf(placement, walls, obstacles))
         self.data = data = mujoco.MjData(model)
         n_balls, n_solids = len(placement.balls), len(walls) + len(obstacles)
-        # A joint address says where numbers of a joint are: 7 of a pose, or 6 of a velocity.
+        # A joint address is the index of a joint's numbers: 7 of a pose, or 6 of a velocity.
         self._ball_poses = [int(model.joint(ball_name(i)).qposadr[0]) for i in range(n_balls)]
         self._ball_velocities = [int(model.joint(ball_name(i)).dofadr[0]) for i in range(n_balls)]
         self._grips = [model.equality(grip_name(i)).id for i in range(n_balls)]
@@ -74,7 +74,7 @@ class MuJoCoSimulator(Simulator):
         for i, first in enumerate(self._ball_velocities):
             self._damp(first, body.BALL_DAMPING, body.BALL_MASS, model.body(ball_name(i)).inertia)
         self._pose, self._wheels = data.qpos, data.ctrl
-        mujoco.mj_forward(model, data)  # rays need to know where things are
+        mujoco.mj_forward(model, data)  # rays need the places of things
 
     def drive(self, left: float, right: float) -> Pose:
         """As `Simulator.drive`."""
@@ -119,7 +119,7 @@ class MuJoCoSimulator(Simulator):
         groups = self._rays_meet
         hit = self._hit
         origins = np.array(starts, dtype=np.float64)
-        # MuJoCo measures a distance in lengths of the vector: that is a fraction; -1 where there is nothing.
+        # MuJoCo measures distance in lengths of the vector, which is a fraction; -1 without a hit.
         fractions = (
             cast(model, data, origin, way, groups, 1, -1, hit)
             for origin, way in zip(origins, np.array(ends) - origins, strict=True)
@@ -127,17 +127,17 @@ class MuJoCoSimulator(Simulator):
         return [fraction if 0 <= fraction <= 1 else 1.0 for fraction in fractions]
 
     def close(self) -> None:
-        """Forgets the scene; a second call does nothing."""
+        """Forget the scene; a second call does nothing."""
         self.model = self.data = None
 
     def get_state(self) -> NDArray[np.float64]:
-        """All that the next steps depend on: MuJoCo's integration state."""
+        """Return MuJoCo's integration state, on which the next steps depend."""
         state = np.empty(self._mujoco.mj_stateSize(self.model, self._kind), dtype=np.float64)
         self._mujoco.mj_getState(self.model, self.data, state, self._kind)
         return state
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Goes on where `get_state` was called, in the same scene, which has been built."""
+        """Continue from `get_state`, after building the same scene."""
         expected = self._mujoco.mj_stateSize(self.model, self._kind)
         if np.shape(state) != (expected,):
             raise ValueError(
@@ -151,9 +151,9 @@ class MuJoCoSimulator(Simulator):
         return int(self._mujoco.mjtState.mjSTATE_INTEGRATION)
 
     def _slow_down(self, first: int) -> None:
-        """Applies the part of a ball's damping that grows with its speed.
+        """Apply the part of a ball's damping that grows with its speed.
 
-        Bullet's multibodies are damped by k (1 + |v|) v, and likewise in rotation; MuJoCo's damping is linear.
+        Bullet damps multibodies by k (1 + |v|) v, in motion and rotation. MuJoCo's damping is linear.
         """
         vx, vy, vz, wx, wy, wz = self.data.qvel[first : first + 6].tolist()
         push = -body.BALL_DAMPING * body.BALL_MASS * math.sqrt(vx * vx + vy * vy + vz * vz)
@@ -161,5 +161,5 @@ class MuJoCoSimulator(Simulator):
         self.data.qfrc_applied[first : first + 6] = push * vx, push * vy, push * vz, twist * wx, twist * wy, twist * wz
 
     def _damp(self, first: int, rate: float, mass: float, inertia: Sequence[float]) -> None:
-        """Damps a free joint, whose velocities are at ``first``, by a rate in 1/s."""
+        """Damp a free joint, whose velocities begin at ``first``, by a rate in 1/s."""
         self.model.dof_damping[first : first + 6] = rate * np.array([mass] * 3 + list(inertia))

@@ -1,4 +1,4 @@
-"""The Pioneer at work: two PD controllers that carry out its actions, and a gripper that closes by itself."""
+"""The Pioneer's control: two PD controllers that carry out its actions, and a gripper that closes by itself."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from sb3_options.envs.pioneer.body import AXLE_TRACK, BALL_RADIUS, CONTROL_RATE,
 from sb3_options.envs.pioneer.simulator import Simulator
 
 BEAM_AHEAD = 0.30
-"""Where the break-beam crosses between the paddles, m ahead of the axle."""
+"""Place of the break-beam between the paddles, m ahead of the axle."""
 
 BEAM_HALF_WIDTH = PADDLE_OPENING / 2 - BALL_RADIUS + 0.02
 """A ball is between the paddles, not in front of one, if its centre is this close to the middle, m."""
 
 
 class PDController(NamedTuple):
-    """Turns how far it still is, and how fast it goes, into the velocity to command.
+    """Turns the remaining way and the current velocity into a velocity command.
 
     Attributes:
         p: Proportional gain, 1/s.
         d: Derivative gain.
         top: Velocity limit, unit/s.
-        acceleration: By how much a command may exceed the last one, unit/s².
-        braking: The command is kept to what this deceleration can still stop in time, unit/s².
+        acceleration: Limit on the increase of the command, unit/s².
+        braking: Deceleration that can still stop the commanded velocity in time, unit/s².
     """
 
     p: float
@@ -35,11 +35,11 @@ class PDController(NamedTuple):
     braking: float
 
     def command(self, error: float, velocity: float, last: float) -> float:
-        """The next command: p · error − d · velocity, within the limits.
+        """Return the next command: p · error − d · velocity, within the limits.
 
         Args:
-            error: What is still to go, in the controller's unit.
-            velocity: As measured, unit/s.
+            error: The remaining way, in the controller's unit.
+            velocity: The measured velocity, unit/s.
             last: The last command, unit/s.
         """
         limit = min(self.top, math.sqrt(2 * self.braking * abs(error)), abs(last) + self.acceleration / CONTROL_RATE)
@@ -47,7 +47,7 @@ class PDController(NamedTuple):
 
 
 DISTANCE_CONTROLLER = PDController(p=10.0, d=0.1, top=1.2, acceleration=3.0, braking=3.0)
-"""In m. The 2-DX drives up to 1.6 m/s; 3 m/s² takes 27 N, which the tyres hold."""
+"""In m. The 2-DX drives up to 1.6 m/s. 3 m/s² takes 27 N, which the tyres can hold."""
 
 HEADING_CONTROLLER = PDController(p=12.0, d=0.1, top=math.radians(230), acceleration=15.0, braking=15.0)
 """In rad. The 2-DX turns up to 300 degrees/s."""
@@ -65,10 +65,10 @@ SETTLED_TURN_RATE = 0.1
 """An action is settled only if the robot turns slower than this, rad/s."""
 
 TIME_LIMIT = 3
-"""An action that has not settled is given up after this long, s."""
+"""An action that has not settled ends after this time, s."""
 
 BACK_OFF = 0.05
-"""How far the robot rolls back from a wall that it touched, m: enough to turn away without touching it again."""
+"""Distance that the robot rolls back from a wall after a touch, m: enough to turn away without another touch."""
 
 
 class PioneerRobot:
@@ -76,7 +76,7 @@ class PioneerRobot:
 
     Attributes:
         pose: x, y of the axle's middle, m, and heading, rad, of the last tick.
-        balls: x, y of each ball's centre that is still in the arena, m, after the last action.
+        balls: x, y of the centre of each ball still in the arena, m, after the last action.
         held: Index of the ball in the gripper, or None.
     """
 
@@ -88,16 +88,16 @@ class PioneerRobot:
         self.on_tick: Callable[[], None] | None = None
 
     def build(self, placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> None:
-        """Builds the scene anew, everything at rest."""
+        """Build a new scene, with everything at rest."""
         self._simulator.build(placement, walls, obstacles)
         self.held = None
         self.balls = dict(enumerate(placement.balls))
         self.pose = placement.robot
 
     def carry_out(self, distance: float, turn: float) -> bool:
-        """Moves ahead, or turns, until the controllers have settled.
+        """Move ahead, or turn, until the controllers have settled.
 
-        A robot that touches a wall or an obstacle stops, rolls back by `BACK_OFF` and turns back to the heading it had.
+        A robot that touches a wall or an obstacle stops, rolls back by `BACK_OFF` and turns to its earlier heading.
 
         Args:
             distance: m ahead.
@@ -106,7 +106,7 @@ class PioneerRobot:
         Returns:
             Whether the robot, or the ball in its gripper, touched a wall or an obstacle.
         """
-        # Everything that each of some 16 ticks looks up is looked up once.
+        # Looked up once, not in each of some 16 ticks.
         drive, is_touching = self._simulator.drive, self._simulator.is_touching
         command_speed, command_turn = DISTANCE_CONTROLLER.command, HEADING_CONTROLLER.command
 
@@ -145,7 +145,7 @@ class PioneerRobot:
         return touched
 
     def release(self) -> Position:
-        """Opens the gripper, has the ball taken away, and says where it was."""
+        """Open the gripper, take the ball away, and return its last position."""
         ball = self.held
         if ball is None:
             raise RuntimeError("release() was called with no ball in the gripper")
@@ -158,7 +158,7 @@ class PioneerRobot:
             self.balls[ball] = self._simulator.ball(ball)
 
     def _close_on_ball(self) -> None:
-        """Closes the gripper if a ball breaks the beam between the paddles."""
+        """Close the gripper if a ball breaks the beam between the paddles."""
         x, y, heading = self.pose
         cos, sin = math.cos(heading), math.sin(heading)
         for ball in self.balls:

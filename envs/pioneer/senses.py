@@ -1,6 +1,6 @@
-"""What the Pioneer senses: seven sonars, and a one-dimensional retina on which a ball is an interval.
+"""The Pioneer's senses: seven sonars, and a one-dimensional retina on which a ball is an interval.
 
-Angles are in rad in the robot's frame, positive to the left; the sonars and the retina's pixels go from left to right.
+Angles are in rad in the robot's frame, positive to the left. Sonars and the retina's pixels go from left to right.
 """
 
 from __future__ import annotations
@@ -28,37 +28,37 @@ SONARS = tuple(
         (100, -100, -90),
     )
 )
-"""Where the sonars sit, m, and look, rad.
+"""Places of the sonars, m, and their directions, rad.
 
-The paper's robot has seven sonars, which is the front ring of the Pioneer 1; that of the 2-DX has eight, at 10, 30,
-50 and 90 degrees to each side. These are the Pioneer 1's, from its parameter file (``pioneer1.p`` of ActivMedia's
+The paper's robot has seven sonars, like the front ring of the Pioneer 1. The front ring of the 2-DX has eight, at 10,
+30, 50 and 90 degrees to each side. These are the Pioneer 1's, from its parameter file (``pioneer1.p`` of ActivMedia's
 ARIA, section "Sonar parameters").
 """
 
 SONAR_HEIGHT = 0.19
-"""m above the floor, just below the deck. The balls (16 cm) are lower: sonars see walls and obstacles only."""
+"""m above the floor, just below the deck. The balls (16 cm) are lower, so sonars see only walls and obstacles."""
 
 SONAR_MIN, SONAR_MAX = 0.1, 5.0
-"""m: the Pioneer's sonars range from 10 cm to 5 m; nothing nearer or farther can be told apart from the bound."""
+"""m; the Pioneer's sonars range from 10 cm to 5 m. Nearer or farther objects read as the bound."""
 
 FIELD_OF_VIEW = math.radians(140)
 """rad, McGovern & Barto (2001), §7."""
 
 CAMERA_AHEAD = 0.10
-"""The camera is on the robot's middle line, m ahead of the axle, and looks at balls at the height of their centres."""
+"""m ahead of the axle, on the robot's middle line. The camera looks at balls at the height of their centres."""
 
 MAX_WIDTH = 2 * math.asin(BALL_RADIUS / (BODY_RADIUS + BALL_RADIUS - CAMERA_AHEAD))
-"""Angular width of a ball that touches the body's front, rad: it can come no nearer."""
+"""Angular width of a ball that touches the body's front, rad. No ball can be nearer."""
 
 N_PIXELS = 70
-"""Of the raw retina: 2 degrees each."""
+"""Pixels of the raw retina, 2 degrees each."""
 
 N_RAYS = 16
-"""Rays at each ball, which cut its interval into as many equal parts: hidden is what they do not reach."""
+"""Rays to each ball, one per equal part of its interval. A part is hidden if its ray does not arrive."""
 
 
 class Sighting(NamedTuple):
-    """The part of a ball that the retina sees: its left and its right edge, rad."""
+    """The visible part of a ball: its left and right edge, rad."""
 
     left: float
     right: float
@@ -75,7 +75,7 @@ class Sighting(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """All that the robot senses at a time: the sonars' ranges, m, and the balls in view, widest first."""
+    """The robot's sensations at one time: the sonars' ranges, m, and the balls in view, widest first."""
 
     ranges: list[float]
     sightings: list[Sighting]
@@ -86,10 +86,10 @@ class Senses:
 
     def __init__(self, simulator: Simulator, *, can_hide: bool) -> None:
         self._simulator = simulator
-        self._can_hide = can_hide  # in a bare arena, which is convex, nothing hides a ball
+        self._can_hide = can_hide  # in an arena without obstacles, which is convex, nothing hides a ball
 
     def look(self, pose: Pose, balls: Iterable[tuple[float, float]]) -> Sensed:
-        """Senses from a pose (m, m, rad) among balls with these centres, m."""
+        """Sense from a pose (m, m, rad) among balls with these centres, m."""
         x, y, heading = pose
         cos, sin = math.cos(heading), math.sin(heading)
         starts, ends = [], []
@@ -134,7 +134,7 @@ class Senses:
 
 
 def retina(sightings: Sequence[Sighting]) -> NDArray[np.float32]:
-    """The raw retina, shape (N_PIXELS,), from left to right: 1 where a pixel's middle is on a ball, else 0."""
+    """Return the raw retina (N_PIXELS,), from left to right: 1 where a pixel's middle is on a ball, else 0."""
     pixels = np.zeros(N_PIXELS, dtype=np.float32)
     per_rad = N_PIXELS / FIELD_OF_VIEW
     for left, right in sightings:
@@ -145,7 +145,7 @@ def retina(sightings: Sequence[Sighting]) -> NDArray[np.float32]:
 
 
 def _in_view(ahead: float, left: float) -> Sighting | None:
-    """The interval of a ball on the retina, with nothing in between; its centre is given from the camera, m.
+    """Return the interval of an unhidden ball on the retina; its centre is relative to the camera, m.
 
     A sphere of radius r at distance d is 2 asin(r / d) wide.
     """
@@ -158,7 +158,7 @@ def _in_view(ahead: float, left: float) -> Sighting | None:
 
 
 def _visible_part(whole: Sighting, fractions: Sequence[float]) -> Sighting | None:
-    """What the rays, from left to right, reach of a ball: its longest visible stretch."""
+    """Return the longest visible stretch of a ball, by the rays from left to right that reach it."""
     best_start = best_length = start = 0
     for i, fraction in enumerate(fractions):
         if fraction < 1:

@@ -1,4 +1,4 @@
-"""What the Pioneer needs of a simulator: to build the scene, turn the wheels, hold a ball, and cast rays."""
+"""The Pioneer's interface to simulators: build the scene, turn the wheels, hold a ball, and cast rays."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ Point = Sequence[float]
 
 
 class Simulator(ABC):
-    """A scene with robot, balls, walls and obstacles, all of it as `sb3_options.envs.pioneer.body` says.
+    """A scene with robot, balls, walls and obstacles, with the constants of `sb3_options.envs.pioneer.body`.
 
-    Balls are known by their index in the `Placement`. `build` comes before everything else but `close`.
+    Balls are identified by their index in the `Placement`. All methods but `close` need `build` first.
     """
 
     @abstractmethod
     def build(self, placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> None:
-        """Builds the scene anew, everything at rest and the gripper open.
+        """Build a new scene, with everything at rest and the gripper open.
 
-        Nothing of what was simulated before may show in what comes: one seed gives one trajectory, bit for bit.
+        Earlier simulation must not influence the new scene: one seed gives one trajectory, bit for bit.
         """
 
     @abstractmethod
     def drive(self, left: float, right: float) -> Pose:
-        """Simulates one tick of the controllers, 1 / ``CONTROL_RATE`` s.
+        """Simulate one tick of the controllers, 1 / ``CONTROL_RATE`` s.
 
         Args:
-            left: Velocity of the left wheel that its motor strives for, rad/s.
-            right: That of the right wheel.
+            left: Target velocity of the left wheel's motor, rad/s.
+            right: Target velocity of the right wheel's motor, rad/s.
 
         Returns:
-            Where the robot is then.
+            The robot's pose after the tick.
         """
 
     @abstractmethod
     def ball(self, ball: int) -> Position:
-        """Where the centre of a ball is, m."""
+        """Return the centre of a ball, m."""
 
     @abstractmethod
     def hold(self, ball: int) -> None:
-        """Closes the gripper on a ball."""
+        """Close the gripper on a ball."""
 
     @abstractmethod
     def take_away(self, ball: int) -> None:
-        """Opens the gripper, and puts the ball in it outside of the arena."""
+        """Open the gripper, and move its ball outside the arena."""
 
     @abstractmethod
     def is_touching(self, held: int | None) -> bool:
@@ -53,8 +53,8 @@ class Simulator(ABC):
 
     @abstractmethod
     def ray_fractions(self, starts: Sequence[Point], ends: Sequence[Point]) -> list[float]:
-        """How far along each ray the first wall or obstacle is, 0..1; 1 where there is none."""
+        """Return how far along each ray the first wall or obstacle is, 0..1; 1 without one."""
 
     @abstractmethod
     def close(self) -> None:
-        """Frees what the simulator holds; a second call does nothing."""
+        """Free the simulator's resources; a second call does nothing."""

@@ -1,4 +1,4 @@
-"""The Pioneer's twin in MuJoCo: the same task, body, actions and senses in another simulator."""
+"""The Pioneer's twin in MuJoCo: the same task, body, actions and senses."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from sb3_options.envs.pioneer.senses import Sensed, Sighting
 
 
 class PioneerMuJoCo(PioneerTask):
-    """The robot in MuJoCo, which has wheels for every Python; arguments are those of `PioneerTask`.
+    """The robot in MuJoCo, which has wheels for every Python. It takes the arguments of `PioneerTask`.
 
-    Options that were learned in `Pioneer` work in it, and the other way round. It has no window, so no render mode
-    ``"human"``. It gives and takes its state, so that training goes on in mid-episode without repeating the episode.
+    Options learned in `Pioneer` work in it, and vice versa. It has no window, so no render mode ``"human"``. It can
+    save and restore its state, so training resumes in mid-episode without repeating the episode.
     """
 
     metadata = {**PioneerTask.metadata, "render_modes": ["rgb_array", "rgb_array_list"]}  # noqa: RUF012
@@ -24,7 +24,7 @@ class PioneerMuJoCo(PioneerTask):
     simulator: MuJoCoSimulator
 
     def get_state(self) -> dict[str, Any]:
-        """Where the episode is, as numbers and arrays; `set_state` goes on there. ``np_random`` is not in it."""
+        """Return the state of the episode as numbers and arrays, for `set_state`, without ``np_random``."""
         placement = self._placement
         robot = self._robot
         if placement is None or self._closed:
@@ -44,7 +44,7 @@ class PioneerMuJoCo(PioneerTask):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes on where `get_state` was called, in an environment that was made with the same arguments."""
+        """Continue from `get_state`, in an environment made with the same arguments."""
         self._refuse_if_closed("set_state")
         if state["placement"] is None:
             self._placement = None

@@ -15,18 +15,18 @@ FORMAT = "sb3-options demonstrations 1"
 
 
 def save_demonstrations(path: str | os.PathLike[str], trajectories: Iterable[Trajectory]) -> None:
-    """Write trajectories to a safetensors file, atomically: arrays and JSON, nothing that can run."""
+    """Write trajectories to a safetensors file, atomically: arrays and JSON, no code."""
     content, arrays = encode(list(trajectories))
     with atomic_write(path) as temporary:
         temporary.write_bytes(sealed(FORMAT, {"trajectories": content}, arrays))
 
 
 def load_demonstrations(path: str | os.PathLike[str]) -> list[Trajectory]:
-    """Read what `save_demonstrations` wrote.
+    """Read a file from `save_demonstrations`.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds no demonstrations, or it is damaged.
+        ValueError: The file holds no demonstrations, or is damaged.
     """
     content = Path(path).read_bytes()
     with errors_of(os.fspath(path), "holds no demonstrations, or it is damaged"):

@@ -1,4 +1,4 @@
-"""The state of a `VecEnv`: what SB3's wrappers remember, and each environment in mid-episode."""
+"""The state of a `VecEnv`: the memory of SB3's wrappers, and each environment in mid-episode."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ REMEMBER_NOTHING = (vec_env.VecTransposeImage, vec_env.VecCheckNan, vec_env.VecE
 
 
 def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
-    """Record what resuming in mid-episode needs; `get_state` requires it. A second call does nothing."""
+    """Start recording for a resume in mid-episode, before `get_state`. A second call does nothing."""
     while isinstance(venv, VecEnvWrapper):
         _wrapper_state(venv)
         venv = venv.venv
@@ -40,16 +40,16 @@ def prepare(venv: VecEnv, *, just_reset: bool = False) -> None:
 
 
 def _prepare(env: Any, just_reset: bool) -> None:
-    layers.prepare(env, just_reset=just_reset)  # it is the same one, and stays in its process
+    layers.prepare(env, just_reset=just_reset)  # the result is the same environment, and stays in its process
 
 
 def get_state(venv: VecEnv) -> State:
-    """Between two steps, after `prepare`."""
+    """Return the state between two steps, after `prepare`."""
     wrappers = []
     while isinstance(venv, VecEnvWrapper):
         wrappers.append({"class": type(venv).__name__, "state": _wrapper_state(venv)})
         venv = venv.venv
-    # An environment for evaluation that was not yet reset has still to be seeded.
+    # An evaluation environment without a reset is still to be seeded.
     seeds, options = list(venv._seeds), [dict(each) for each in venv._options]
     if isinstance(venv, DummyVecEnv):
         states = [layers.states_of(env) for env in venv.envs]
@@ -59,7 +59,7 @@ def get_state(venv: VecEnv) -> State:
 
 
 def refusal(venv: VecEnv | None) -> str | None:
-    """Why there can be no checkpoints of an environment; None if there can, and it is prepared."""
+    """Say why an environment cannot have checkpoints; if it can, prepare it and return None."""
     try:
         prepare(venv)  # type: ignore[arg-type]  # a model without an environment is not trained
         encode(get_state(venv))  # type: ignore[arg-type]  # likewise
@@ -69,7 +69,7 @@ def refusal(venv: VecEnv | None) -> str | None:
 
 
 def set_state(venv: VecEnv, state: State) -> list[str]:
-    """Continue from `get_state` in prepared environments; returns in which of them the episode cannot, and why."""
+    """Restore a state in prepared environments. Return which episodes cannot continue, and why."""
     for wrapper in state["wrappers"]:
         if type(venv).__name__ != wrapper["class"]:
             raise ValueError(f"The checkpoint is of environments in {wrapper['class']}, here is {type(venv).__name__}.")
@@ -110,7 +110,7 @@ def _check_supported(venv: VecEnv, *kinds: type[VecEnv]) -> None:
 
 
 def _in_workers(venv: VecEnv, function: Callable[..., Any], *args: Any, indices: list[int] | None = None) -> list[Any]:
-    """The results of a function in every worker process, or in those of ``indices``; its error is raised here."""
+    """Return the results of a function in all worker processes, or those of ``indices``; raise its error here."""
     results = venv.env_method("on_layers", function, *args, indices=indices)
     for _, why in results:
         if why is not None:

@@ -1,7 +1,7 @@
-"""The files of checkpoints: safetensors for arrays, JSON for the rest, and blocks of large arrays that are shared.
+"""The files of checkpoints: safetensors for arrays, JSON for the rest, and shared blocks of large arrays.
 
-An array of more than `BLOCK_BYTES` is cut into blocks of rows. A block is a file named by the SHA-256 of its content:
-one that has not changed since the last checkpoint is there already, and is not written again.
+An array larger than `BLOCK_BYTES` is cut into blocks of rows. Each block is a file named by the SHA-256 of its content.
+A block unchanged since the last checkpoint already exists, and is not written again.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from sb3_options.options.sealed import DAMAGE, errors_of, sealed, unsealed
 FORMAT = "sb3-options checkpoint 1"
 
 BLOCK_BYTES = 1 << 20
-"""Largest content of a block: a checkpoint writes at most about this much of an array that has not changed."""
+"""Largest block: a checkpoint writes at most about this much of an unchanged array."""
 
 MOST_REPETITIONS = 16
 MOST_REPEATED_BYTES = 1 << 30
-"""A checkpoint may name a block more than once (rows of zeros), up to this many bytes more than the repetitions."""
+"""A checkpoint may repeat blocks (rows of zeros), up to this many times their size, plus this many bytes."""
 
 BLOCKS = "blocks"  # folder of the blocks, beside the checkpoints
 
 SUFFIX = ".safetensors"
 
 KEPT = 2
-"""So many checkpoints are kept."""
+"""Number of checkpoints kept."""
 
 _NAME = re.compile(r"[0-9a-f]{64}")
 
 
 class CheckpointFolder:
-    """Checkpoints of one run, by the primitive steps taken.
+    """Checkpoints of one run, by primitive steps taken.
 
     Args:
-        path: Of the folder; made when the first checkpoint is written.
+        path: Path of the folder. The first checkpoint creates it.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -58,14 +58,14 @@ class CheckpointFolder:
         self._known = KnownBlocks()
 
     def __iter__(self) -> Iterator[Path]:
-        """The checkpoints, newest first; damaged ones, too."""
+        """Iterate over checkpoints, newest first, including damaged ones."""
         found = [file for file in self.path.glob(f"*{SUFFIX}") if file.stem.isdecimal()]
         return iter(sorted(found, key=lambda file: int(file.stem), reverse=True))
 
     def save(self, steps: int, state: State, *, growing: Sequence[Growing] = ()) -> Path:
         """Write a checkpoint, and remove all but the last `KEPT`.
 
-        A killed process or a full disk leaves the older ones whole.
+        A killed process or a full disk leaves older checkpoints intact.
         """
         blocks = self.path / BLOCKS
         blocks.mkdir(parents=True, exist_ok=True)
@@ -84,7 +84,7 @@ class CheckpointFolder:
         return file
 
     def newest(self) -> tuple[Path, State]:
-        """The newest checkpoint that is whole."""
+        """Return the newest undamaged checkpoint."""
         wrong: ValueError | None = None
         for file in self:
             try:
@@ -99,7 +99,7 @@ class CheckpointFolder:
         raise FileNotFoundError(f"There is no checkpoint in {self.path}.")
 
     def make_room(self) -> None:
-        """Remove what can be spared on a full disk: all but the newest, and one from before any step."""
+        """Free space on a full disk: remove all but the newest checkpoint, and any from before the first step."""
         for i, file in enumerate(self):
             if i or int(file.stem) == 0:
                 file.unlink()
@@ -113,16 +113,16 @@ class CheckpointFolder:
         try:
             used = {name for file in files[:KEPT] for name in _block_names(file)}
         except DAMAGE:
-            return  # whoever damaged a file may want to look at it: its blocks stay
+            return  # somebody may want to look at a damaged file: its blocks stay
         for path in (self.path / BLOCKS).iterdir():
-            if path.stem not in used:  # what killed processes left, too
+            if path.stem not in used:  # also removes leftovers of killed processes
                 path.unlink()
         for path in self.path.glob(f".*{SUFFIX}"):
             path.unlink()
 
 
 def read(file: Path) -> State:
-    """The state in a checkpoint. Nothing of the file is run."""
+    """Return the state in a checkpoint. No code of the file runs."""
     with errors_of(str(file), "is no checkpoint, or it is damaged"):
         parts, arrays = unsealed(file.read_bytes(), FORMAT)
         large = parts["blocks"]
@@ -136,7 +136,7 @@ def read(file: Path) -> State:
 
 
 def _cut(array: npt.NDArray[Any], folder: Path, known: KnownBlocks) -> State:
-    """Write those blocks of an array that are not there, and say where all are."""
+    """Write the missing blocks of an array, and return shape, dtype and names of all blocks."""
     rows = array if array.ndim else array[None]
     n = max(1, BLOCK_BYTES * len(rows) // rows.nbytes)
     names = []
@@ -156,7 +156,7 @@ def _cut(array: npt.NDArray[Any], folder: Path, known: KnownBlocks) -> State:
 
 
 def _check_sizes(large: dict[str, State], folder: Path) -> None:
-    """Refuse arrays that are larger than their blocks, and more repetitions of blocks than a training has."""
+    """Refuse arrays larger than their blocks, and more repetitions of blocks than training produces."""
     sizes: dict[str, int] = {}
     total = 0
     for about in large.values():
@@ -188,14 +188,14 @@ def _joined(about: State, folder: Path) -> npt.NDArray[Any]:
 
 
 def _block_names(file: Path) -> list[str]:
-    """The blocks of a checkpoint."""
+    """Return the names of a checkpoint's blocks."""
     with safe_open(file, framework="np") as opened:
         large = json.loads(opened.metadata()["blocks"])
     return [name for about in large.values() for name in about["names"]]
 
 
 def _sync(folder: Path) -> None:
-    """Have the names in a folder on the disk, too."""
+    """Flush the names in a folder to the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -213,7 +213,7 @@ class _Written(NamedTuple):
 
 
 class KnownBlocks:
-    """The names of the blocks that the last checkpoint was written with, for arrays that tell what has changed."""
+    """The block names of the last checkpoint, for arrays that record which rows have changed."""
 
     def __init__(self, growing: Sequence[Growing] = (), before: KnownBlocks | None = None) -> None:
         self._growing = {_address(each.array): each for each in growing}
@@ -221,7 +221,7 @@ class KnownBlocks:
         self._written: dict[int, _Written] = {}
 
     def unchanged(self, rows: npt.NDArray[Any], per_block: int) -> dict[int, str]:
-        """Names of the blocks whose rows have not changed, by their first row."""
+        """Return the names of unchanged blocks, by their first row."""
         now, then = self._growing.get(_address(rows)), self._before.get(_address(rows))
         if now is None or then is None or then.array() is not now.array or then.per_block != per_block:
             return {}
@@ -231,7 +231,7 @@ class KnownBlocks:
         return {start: name for start, name, at in known if at <= then.changes}
 
     def keep(self, rows: npt.NDArray[Any], per_block: int, names: list[str]) -> None:
-        """Remember the blocks of an array, if it tells how it grows."""
+        """Remember the blocks of an array, if it records its changes."""
         now = self._growing.get(_address(rows))
         if now is not None:
             self._written[_address(rows)] = _Written(weakref.ref(now.array), now.changes, per_block, names)

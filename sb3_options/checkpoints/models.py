@@ -1,4 +1,4 @@
-"""The state of a model, its environments and every generator, at the start of a rollout."""
+"""The state of a model and of every random generator, at the start of a rollout."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sb3_options.learning.rollout_buffer import option_rollout_buffer
 
 SUPPORTED = ("DQN", "OptionDQN", "QRDQN", "PPO", "MaskablePPO", "A2C", "TRPO", "RecurrentPPO", "MacroQ")
 LIBRARIES = ("stable_baselines3", "sb3_contrib", "sb3_options")
-"""Names of the classes of models whose whole state is known, and where these are from."""
+"""Class names of models whose whole state is known, and their libraries."""
 
 COUNTERS = (
     "num_timesteps",
@@ -38,14 +38,14 @@ COUNTERS = (
     "_options_since",
 )
 LOGGED = {"values": "name_to_value", "counts": "name_to_count", "excluded": "name_to_excluded"}
-"""Attributes of a logger, by what they are called in a checkpoint."""
+"""Attributes of a logger, by their names in a checkpoint."""
 
 LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
-"""What the environments gave last."""
+"""Last outputs of the environments."""
 
 
 def check(model: BaseAlgorithm) -> None:
-    """Refuse a model of which a checkpoint would not hold everything."""
+    """Refuse a model whose whole state a checkpoint would not hold."""
     of = type(model)
     if of.__name__ not in SUPPORTED or of.__module__.partition(".")[0] not in LIBRARIES or model.use_sde:
         raise ValueError(
@@ -55,8 +55,8 @@ def check(model: BaseAlgorithm) -> None:
 
 
 def get_state(model: BaseAlgorithm) -> State:
-    """Networks, optimizer, replay buffer and counters; a rollout buffer is empty at the start of a rollout."""
-    memory = getattr(model, "_last_lstm_states", None)  # of RecurrentPPO's networks
+    """Return networks, optimizer, replay buffer and counters. A rollout buffer is empty at this point."""
+    memory = getattr(model, "_last_lstm_states", None)  # in RecurrentPPO
     state: State = {
         "class": type(model).__name__,
         "gamma": getattr(model, "gamma", None),
@@ -79,20 +79,20 @@ def get_state(model: BaseAlgorithm) -> State:
 
 
 def growing(model: BaseAlgorithm) -> list[Growing]:
-    """The large arrays in `get_state` that tell how they have grown."""
+    """Return the large arrays in `get_state` that record how they have grown."""
     buffer = getattr(model, "replay_buffer", None)
     return [] if buffer is None else buffer.growing()
 
 
 def _rollout(model: BaseAlgorithm) -> State:
-    """How long the rollout is that begins, in decisions, and in primitive steps where these count."""
+    """Return the length of the rollout that begins, in decisions, and in primitive steps if these count."""
     buffer = getattr(model, "rollout_buffer", None)
     sizes = {"n_steps": "buffer_size", "n_primitive_steps": "n_primitive_steps"}  # by attribute
     return {name: size for name, of in sizes.items() if (size := getattr(buffer, of, None)) is not None}
 
 
 def prepare(model: BaseAlgorithm, state: State) -> None:
-    """Let the first rollout of an on-policy algorithm be as long as the one that began with what `get_state` gave."""
+    """Give the first on-policy rollout the length of the rollout that began when `get_state` was called."""
     sizes = state["rollout"]
     buffer: Any = getattr(model, "rollout_buffer", None)
     if buffer is None or "n_steps" not in sizes:
@@ -108,7 +108,7 @@ def prepare(model: BaseAlgorithm, state: State) -> None:
 
 
 def set_state(model: BaseAlgorithm, state: State) -> None:
-    """Go on with what `get_state` gave, in a model that was made with the same arguments."""
+    """Continue from a state of `get_state`, in a model made with the same arguments."""
     counters = {name: state["counters"][name] for name in COUNTERS if name in state["counters"]}
     for name, value in counters.items():
         if not (is_number(value) if isinstance(getattr(model, name, 0), float) else whole(value, 0)):
@@ -125,7 +125,7 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
         memory = (tuple(each.to(model.device) for each in of_network) for of_network in state["memory"])
         model._last_lstm_states = type(model._last_lstm_states)(*memory)  # type: ignore[attr-defined]  # it is recurrent
     last = {name: state["last"][name] for name in LAST}
-    for name, value in (counters | last).items():  # and no others that a stranger's file may name
+    for name, value in (counters | last).items():  # no other names from a stranger's file
         setattr(model, name, value)
     model.start_time = time.time_ns() - state["elapsed"]
     for buffer, episodes in ((model.ep_info_buffer, "episodes"), (model.ep_success_buffer, "successes")):
@@ -141,7 +141,7 @@ def set_state(model: BaseAlgorithm, state: State) -> None:
 
 
 def begin_episodes(model: BaseAlgorithm) -> None:
-    """Reset the environments, between two rollouts."""
+    """Reset the environments between two rollouts."""
     venv = model.get_env()
     assert venv is not None  # learn() has begun
     model._last_obs = venv.reset()  # type: ignore[assignment]  # as SB3 does
@@ -151,7 +151,7 @@ def begin_episodes(model: BaseAlgorithm) -> None:
 
 
 def random_states() -> State:
-    """Of the generators that all share: Python's, numpy's and torch's."""
+    """Return the states of the global generators: Python's, numpy's and torch's."""
     kind, keys, pos, has_gauss, cached = np.random.get_state(legacy=True)  # noqa: NPY002  # SB3 draws from it
     version, numbers, gauss = random.getstate()
     return {
@@ -163,7 +163,7 @@ def random_states() -> State:
 
 
 def set_random_states(state: State) -> None:
-    """Restore the state of all generators from `random_states`."""
+    """Restore the states of all generators from `random_states`."""
     np.random.set_state(state["numpy"])  # noqa: NPY002  # SB3 draws from it
     version, numbers, gauss = state["python"]
     random.setstate((version, tuple(numbers.tolist()), gauss))
@@ -173,13 +173,13 @@ def set_random_states(state: State) -> None:
 
 
 def logged(logger: Logger) -> State:
-    """The numbers that were recorded and are not yet written."""
+    """Return the numbers that are recorded but not yet written."""
     told = {name for name, value in logger.name_to_value.items() if isinstance(value, int | float | np.number | str)}
     return {key: {n: v for n, v in getattr(logger, name).items() if n in told} for key, name in LOGGED.items()}
 
 
 def set_logged(logger: Logger, state: State) -> None:
-    """Record what `logged` gave, and nothing else."""
+    """Replace the recorded numbers by those from `logged`."""
     for key, name in LOGGED.items():
         recorded = getattr(logger, name)
         recorded.clear()
@@ -187,17 +187,17 @@ def set_logged(logger: Logger, state: State) -> None:
 
 
 def event_file_sizes(logger: Logger) -> dict[str, int]:
-    """Bytes of each event file of a logger, by name, with everything that was logged in them."""
+    """Flush the event files of a logger, and return their sizes in bytes by name."""
     for writer in _writers(logger):
         writer.flush()
     return {file.name: file.stat().st_size for file in _event_files(logger)}
 
 
 def cut_event_files(logger: Logger, before: dict[str, int]) -> None:
-    """Remove the points that ended processes logged after a checkpoint."""
+    """Remove the points that earlier processes logged after a checkpoint."""
     files = _event_files(logger)
     if not any(file.name in before for file in files):
-        return  # the logger writes to another folder than before: nothing in it is touched
+        return  # the logger writes to a new folder: leave its files alone
     own = {Path(writer.file_writer.event_writer._file_name).name for writer in _writers(logger)}
     for file in files:
         if file.name in before:
@@ -211,5 +211,5 @@ def _event_files(logger: Logger) -> list[Path]:
 
 
 def _writers(logger: Logger) -> list[Any]:
-    """Of TensorBoard; none was closed."""
+    """Return the open TensorBoard writers."""
     return [output.writer for output in logger.output_formats if isinstance(output, TensorBoardOutputFormat)]

@@ -1,8 +1,8 @@
 """States as JSON and arrays: `encode` takes them apart, `decode` puts them together.
 
-A state is made of None, truth values, numbers, text, bytes, arrays, tensors, lists, tuples, dictionaries, sets, deques
-and the classes decorated with `sb3_options.state.storable`. Nothing else can be in it: reading a state runs no code of
-the file. An array or a value that occurs twice is one object again.
+A state consists of None, Booleans, numbers, text, bytes, arrays, tensors, lists, tuples, dictionaries, sets, deques and
+classes decorated with `sb3_options.state.storable`, and of nothing else. So reading a state runs no code of the file.
+An array or a value that occurs twice becomes one object again.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from sb3_options.options.sealed import Arrays
 from sb3_options.state import VALUES, made, names_of
 
 State: TypeAlias = dict[str, Any]
-"""What ``get_state`` gives and ``set_state`` takes."""
+"""Result of ``get_state`` and argument of ``set_state``."""
 
-MARK = "$"  # key of a JSON object that stands for something else than a dictionary
+MARK = "$"  # key of a JSON object that is not a dictionary
 
 PLAIN = (bool, int, str, float, type(None))
-KINDS = "biuf"  # kinds of arrays that safetensors holds: truth values, whole numbers and floats
+KINDS = "biuf"  # kinds of arrays that safetensors holds: Booleans, integers and floats
 
 
 def encode(state: Any) -> tuple[Any, Arrays]:
-    """A state as JSON and arrays by number; an object that occurs twice is stored once."""
+    """Turn a state into JSON and numbered arrays. An object that occurs twice is stored once."""
     encoder = _Encoder()
     return encoder.encoded(state, ""), encoder.arrays
 
 
 def decode(content: Any, arrays: Arrays) -> Any:
-    """The inverse of `encode`, which raises `sealed.DAMAGE`; arrays are taken over, not copied."""
+    """Invert `encode`, raising `sealed.DAMAGE`. Arrays are used without a copy."""
     return _Decoder(arrays).decoded(content)
 
 
@@ -44,7 +44,7 @@ class _Encoder:
         self.arrays: Arrays = {}
         self._numbers: dict[int, str] = {}
         self._values: dict[int, int] = {}
-        self._kept: list[Any] = []  # so that no other object takes an id
+        self._kept: list[Any] = []  # keeps ids unique
 
     def encoded(self, value: Any, where: str) -> Any:
         kind = type(value)
@@ -83,7 +83,7 @@ class _Encoder:
         if array.dtype.kind not in KINDS or not array.dtype.isnative:
             raise TypeError(f"an array of {array.dtype} cannot be stored, at {where}")
         number = self._numbers.get(id(value))
-        # Products with an array that is laid out the other way round differ in the last bit.
+        # The memory layout changes the last bit of products, so it is kept.
         transposed = array.flags.f_contiguous and not array.flags.c_contiguous
         if number is None:
             number = self._numbers[id(value)] = str(len(self.arrays))
@@ -98,7 +98,7 @@ class _Encoder:
             return {MARK: "same", "value": self._values[id(value)]}
         name = type(value).__name__
         content = self.encoded({each: getattr(value, each) for each in names_of(type(value))}, f"{where}<{name}>")
-        self._values[id(value)] = len(self._values)  # after those inside it, as they are made
+        self._values[id(value)] = len(self._values)  # after the values inside it, in the order of decoding
         self._kept.append(value)
         return {MARK: name, "fields": content}
 

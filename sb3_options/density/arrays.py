@@ -1,4 +1,4 @@
-"""Types of arrays, and rows as keys."""
+"""Array types, and keys of rows."""
 
 from hashlib import blake2b
 from typing import Any, TypeAlias
@@ -11,15 +11,15 @@ IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 LONGEST_KEY = 64
-"""Bytes of a key that is kept as it is."""
+"""Longest key, in bytes, that is kept as it is."""
 
 
 def row_keys(rows: NDArray[Any]) -> list[bytes]:
-    """The bytes of each row (n, d), d ≥ 1, which equal rows share: adding 0 makes -0 a 0."""
+    """Return the bytes of each row (n, d), d ≥ 1. Equal rows share a key: adding 0 turns -0 into 0."""
     rows = np.ascontiguousarray(rows + 0.0 if rows.dtype.kind == "f" else rows)
     return rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel().tolist()
 
 
 def short_key(key: bytes) -> bytes:
-    """A key itself, or, of one longer than `LONGEST_KEY`, a digest that takes less memory."""
+    """Return the key, or if it is longer than `LONGEST_KEY`, a digest to save memory."""
     return key if len(key) <= LONGEST_KEY else blake2b(key, digest_size=16).digest()

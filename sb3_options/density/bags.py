@@ -16,16 +16,16 @@ from sb3_options.density.arrays import BoolArray, FloatArray, IntArray, row_keys
 from sb3_options.density.layout import BagArrays, Segment, segments_of
 from sb3_options.state import storable
 
-LARGEST_FEATURE, LARGEST_SCALE = 1e100, 1e50  # their product squared is still a number
+LARGEST_FEATURE, LARGEST_SCALE = 1e100, 1e50  # the square of their product is still finite
 
 
 @storable
 @dataclass(frozen=True, eq=False)
 class Bags:
-    """Bags of instances, packed once and searched many times; made by :meth:`pack`.
+    """Bags of instances, packed once by :meth:`pack` and searched many times.
 
     Attributes:
-        instances: (N, d) in float64, bag after bag, the positive bags first.
+        instances: (N, d) in float64, bag after bag, positive bags first.
         lengths: Number of instances in each bag.
         n_positive: Number of positive bags.
     """
@@ -39,8 +39,8 @@ class Bags:
         """Pack bags of shape (n_i, d). An instance given twice counts twice: pass first visits only.
 
         Raises:
-            ValueError: No bag at all, an empty bag, bags that disagree about d, or features that are no real numbers,
-                NaN, infinite, masked or too large to square.
+            ValueError: No bag, an empty bag, bags with different d, or features that are not real numbers, NaN,
+                infinite, masked or too large to square.
         """
         names = [f"positive bag {i}" for i in range(len(positive))]
         names += [f"negative bag {i}" for i in range(len(negative))]
@@ -62,22 +62,22 @@ class Bags:
         return int(self.instances.shape[1])
 
     def smallest_positive(self, n: int) -> FloatArray:
-        """Distinct instances (m, d) of the `n` positive bags with the fewest, in the order packed."""
+        """Return the distinct instances (m, d) of the `n` smallest positive bags, in packing order."""
         positive = torch.split(self.instances, list(self.lengths))[: self.n_positive]
         smallest = sorted(sorted(range(len(positive)), key=lambda i: self.lengths[i])[:n])
         return distinct(torch.cat([self.instances[:0], *(positive[i] for i in smallest)]).numpy())
 
     def arrays(self, transform: Callable[[FloatArray], FloatArray]) -> BagArrays:
-        """The bags as arrays, with their instances transformed."""
+        """Return the bags as arrays, with transformed instances."""
         positive = np.arange(len(self.lengths)) < self.n_positive
         return BagArrays(transform(self.instances.numpy()), np.array(self.lengths), positive)
 
     @cached_property
     def origin(self) -> Tensor:
-        """What features are taken relative to (d,), so that an offset common to all instances costs no digits.
+        """The origin (d,) of features, so that an offset common to all instances costs no digits.
 
-        The first instance in features whose values lie within a factor of two of each other, which makes every
-        difference exact (Sterbenz 1974); 0 in the others, whose spread is as large as their offset.
+        If all values of a feature lie within a factor of two, it is the first instance, and every difference is exact
+        (Sterbenz 1974). Other features spread as widely as their offset, and have origin 0.
         """
         low, high = self.instances.abs().aminmax(dim=0)
         one_sign = (self.instances > 0).all(0) | (self.instances < 0).all(0)
@@ -85,24 +85,24 @@ class Bags:
 
     @cached_property
     def segments(self) -> list[Segment]:
-        """The bags in double precision as the kernels read them, relative to the `origin`; packed once."""
+        """The bags relative to the `origin`, in double precision, in the kernels' layout; packed once."""
         origin = self.origin.numpy()
         return segments_of(self.arrays(lambda instances: instances - origin), torch.float64)
 
 
 def distinct(points: FloatArray) -> FloatArray:
-    """Drop repeated rows, keep the order."""
+    """Drop repeated rows, keeping the order."""
     return points[first_rows(points)]
 
 
 def held_by_all(points: FloatArray, bags: Sequence[FloatArray]) -> BoolArray:
-    """Which of some points (m, d) are an instance of every bag, each (n_i, d), at least one: (m,)."""
+    """Which points (m, d) are an instance of every bag (n_i, d), of at least one: (m,)."""
     shared = set.intersection(*(set(row_keys(bag)) for bag in bags))
     return np.array([key in shared for key in row_keys(points)], dtype=np.bool_)
 
 
 def first_rows(points: FloatArray) -> IntArray:
-    """Numbers of the rows (n, d) that no row before is equal to."""
+    """Return the indices of rows (n, d) that equal no earlier row."""
     first: dict[bytes, int] = {}
     for i, key in enumerate(row_keys(points)):
         first.setdefault(key, i)
@@ -110,7 +110,7 @@ def first_rows(points: FloatArray) -> IntArray:
 
 
 def real_array(name: str, values: ArrayLike) -> FloatArray:
-    """Real numbers in double precision; refuses what would be dropped in silence, as parts of complex ones."""
+    """Convert to double precision. Refuse masked or complex values, which would silently lose information."""
     array = np.asarray(values)
     if array.dtype.kind not in "biuf" or np.ma.is_masked(values):
         raise ValueError(f"{name} must hold real numbers, none of them masked, got {array.dtype}")
@@ -118,13 +118,13 @@ def real_array(name: str, values: ArrayLike) -> FloatArray:
 
 
 def check_finite(name: str, features: FloatArray) -> None:
-    """Refuse NaN, infinite features, and those whose squares overflow."""
+    """Refuse NaN, infinite features, and features whose squares overflow."""
     if not np.abs(features).max(initial=0) <= LARGEST_FEATURE:  # nor if it is NaN
         raise ValueError(f"{name} holds NaN, or features beyond ±{LARGEST_FEATURE:g}, whose squares overflow")
 
 
 def positive_scale(scale: object) -> bool:
-    """Whether this is a scale: positive and finite, a number or (d,)."""
+    """Whether a scale is valid: positive and finite, a number or (d,)."""
     array = np.asarray(scale)
     if array.dtype.kind not in "iuf" or array.ndim > 1:
         return False

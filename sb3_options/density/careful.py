@@ -1,4 +1,4 @@
-"""The objective where it under- or overflows, slowly and right at any distance."""
+"""The objective where it under- or overflows: slow, but correct at any distance."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from sb3_options.density.layout import Segment, Workspace
 
 
 def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspace: Workspace) -> Evaluation:
-    """The evaluation at any distance, on hits and near them.
+    """Evaluate the objective at any distance, including hits and points near them.
 
-    Each bag's largest p, its top, is factored out: p = top · share. So nothing underflows that matters, and the
-    weights tend to the soft-max of −z as a bag recedes.
+    Each bag's largest p, its top, is factored out: p = top · share. So no relevant term underflows, and the weights
+    tend to the soft-max of −z as a bag recedes.
     """
     precision = torch.finfo(columns.coefficients.dtype)
-    floor = math.log2(precision.tiny) / 2  # keeps products of two above the subnormal numbers, which are slow
+    floor = math.log2(precision.tiny) / 2  # keeps products of two above subnormal numbers, which are slow
     arrays = workspace.take(segment, columns.coefficients.shape[1], columns.coefficients)
     share, blocks = arrays.p, arrays.p_blocks
     scaled = exponents(columns, segment, likelihood)
@@ -40,7 +40,7 @@ def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspac
         close = measure_close_pairs(share, columns, segment, likelihood)
     odds = torch.expm1(share.clamp_(max=0) * math.log(2)).neg_()  # 1 − p, exact where p is near 1
     row_top = _chain(blocks, torch.maximum)
-    top = torch.zeros_like(row_top)  # instances of negative bags are taken as they are
+    top = torch.zeros_like(row_top)  # instances of negative bags are not factored
     if segment.rows_of_bags:
         bag_top = _over_rows(row_top, segment, torch.maximum)
         top = torch.cat([bag_top, torch.zeros_like(bag_top[:1])])[segment.bag_of_row]
@@ -86,7 +86,7 @@ def careful(columns: Columns, segment: Segment, likelihood: Likelihood, workspac
         block.mul_(ratio[: len(block)])
     near = columns.centre[:0]
     if close is not None:
-        # An instance that is hit lies at its smallest energy: it pulls nowhere, whatever its weight.
+        # A hit instance is at its smallest energy: it exerts no pull, whatever its weight.
         weights[close.place[close.hit], close.start[close.hit]] = 0
         near = take_near(weights, close, columns, segment) if columns.exact else near
     return Evaluation(log_density, moments(segment, weights, len(columns.coefficients)), near)

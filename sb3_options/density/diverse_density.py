@@ -33,33 +33,33 @@ from sb3_options.state import storable
 POINT = Point("fixed")
 
 APART = 0.9
-"""Where instances that were visited one after the other lie so many widths apart, no other point ties with them."""
+"""If successive instances lie at least this many widths apart, no other point ties with them."""
 
-TIED = 1e-9  # points whose log densities differ by less than this, in nats, tie
+TIED = 1e-9  # points tie if their log densities differ by less than this, in nats
 
 SMALLEST_BAGS = 3
-"""A gradient search tries the instances of so many positive bags: more than one, because a filter may have removed the
-concept's own instance from a bag."""
+"""Number of positive bags whose instances a gradient search tries: more than one, because a filter may have removed
+the concept's own instance from a bag."""
 
 ASCENDING = 8
 ASCENT_STEPS = 12
 SORTING_STEPS = 3
-"""Points that ascend in a gradient search, most evaluations, and after which of them points that lie close merge."""
+"""Points that ascend in a gradient search, maximum evaluations, and evaluations after which close points merge."""
 
 ARRIVED = 1e-5
-"""A gradient search ends when two steps running raise the log density by less than this share of it, or of 1 nat."""
+"""A gradient search ends when two successive steps gain less than this share of the log density, or of 1 nat."""
 
 SHORTLIST, SHORTLIST_PAIRS = 32, 1 << 20
-"""Points that are evaluated on all bags, or as many as make so many (instances × points) where those are more."""
+"""Points evaluated on all bags: the larger of this number and this many (instances × points)."""
 
 SAMPLED_BAGS, PROMISING = 3, 8
-"""The shortlist is chosen by so many positive and negative bags, and one point in so many by so many times more."""
+"""The shortlist is chosen on this many bags of each sign, then one point in `PROMISING` on `PROMISING` times more."""
 
 FIRST_STEPS, SURVIVORS = 20, 4
-"""In a thorough search one start in `SURVIVORS` goes on after every `FIRST_STEPS` evaluations."""
+"""In a thorough search one start in `SURVIVORS` continues after every `FIRST_STEPS` evaluations."""
 
 FINAL_STEPS, TOLERANCE = 500, 1e-8
-"""Most evaluations of the finalists, in each precision, and when they rest, in nats relative to the value."""
+"""Maximum evaluations of the finalists in each precision, and their tolerance, in nats relative to the value."""
 
 APART_BY = 0.5
 """A peak this close to a better one is merged into it, in parameters: for points, in widths."""
@@ -67,7 +67,7 @@ APART_BY = 0.5
 TINY = float(np.finfo(np.float64).tiny)
 
 TIES, SAME_PARAMETER = 1e-5, 1e-3
-"""Peaks tie whose losses are this close, relatively or in nats; parameters this close do not order them."""
+"""Peaks tie if their losses are this close, relatively or in nats. Parameters this close do not order them."""
 
 
 @storable
@@ -76,11 +76,11 @@ class Peak(NamedTuple):
 
     Attributes:
         point: t, the centre, (d,) in the units of the features.
-        scale: s, one over the width, (d,); 0 for a feature that does not count. Of a half-space, for which t is on the
-            boundary, its normal: Pr(x ∈ concept) = 1 / (1 + exp(−s · (x − t))).
-        log_density: Log diverse density there, in nats, without the prior.
-        converged: Whether the ascent had come to rest.
-        is_half_space: Whether it is one.
+        scale: s, one over the width, (d,); 0 for a feature that does not count. For a half-space, s is the normal and t
+            is on the boundary: Pr(x ∈ concept) = 1 / (1 + exp(−s · (x − t))).
+        log_density: Log diverse density at the peak, in nats, without the prior.
+        converged: Whether the ascent converged.
+        is_half_space: Whether the concept is a half-space.
     """
 
     point: FloatArray
@@ -90,14 +90,14 @@ class Peak(NamedTuple):
     is_half_space: bool = False
 
     def region(self, level: float = 0.5) -> Region:
-        """Where Pr(x ∈ concept) ≥ level, in (0, 1): a subgoal that β can test."""
+        """Return the region where Pr(x ∈ concept) ≥ level, in (0, 1): a subgoal that β can test."""
         if self.is_half_space:
             shift = self.scale * math.log(level / (1 - level)) / max(float(self.scale @ self.scale), TINY)
             return Region((self.point + shift)[None], np.ones_like(self.scale), 0.0, normal=self.scale)
         return Region(self.point[None], self.scale, math.sqrt(-math.log(level)))
 
     def probability(self, instances: ArrayLike) -> FloatArray:
-        """Pr(x ∈ concept) of instances (n, d), shape (n,)."""
+        """Return Pr(x ∈ concept) of instances (n, d), shape (n,)."""
         difference = np.asarray(instances) - self.point
         if self.is_half_space:
             return np.asarray(torch.from_numpy(difference @ self.scale).sigmoid())
@@ -109,17 +109,17 @@ class DiverseDensity:
     """Search for the concepts of highest diverse density.
 
     Attributes:
-        concept: What is searched for; by default points of the given scale.
-        scale: Factor for every feature, a number or (d,): one over the width of the concept, or of one of scale 1 where
-            scales are learned.
-        method: "gradient": the instances of the smallest positive bags are evaluated, and the best of them ascend a few
-            steps; for points of known scale, and the default for these. "thorough": all distinct instances of positive
-            bags ascend in single precision, the best go on, and the finalists climb to rest in double precision;
-            also for learned scales and half-spaces. "exhaustive": a finite set of candidates is evaluated, by default
-            all instances of positive bags; for points of known scale.
-        max_starts: Most instances that a thorough search starts from, evenly spaced among all; None for all.
-        finalists: Most starts that a thorough search climbs to the end.
-        negative_strength: η in (0, 1]: log(1 − η p) of every negative instance.
+        concept: Class of concepts; by default points of the given scale.
+        scale: Factor for every feature, a number or (d,): one over the width of the concept. If scales are learned,
+            one over the width at scale 1.
+        method: "gradient" evaluates the instances of the smallest positive bags, and the best ascend a few steps. It
+            needs points of known scale, and is their default. "thorough" lets all distinct instances of positive bags
+            ascend in single precision. The best continue, and the finalists converge in double precision. It also
+            allows learned scales and half-spaces. "exhaustive" evaluates a finite set of candidates, by default all
+            instances of positive bags. It needs points of known scale.
+        max_starts: Maximum starts of a thorough search, evenly spaced among all instances; None for all.
+        finalists: Maximum starts that a thorough search climbs to the end.
+        negative_strength: η in (0, 1]: each negative instance contributes log(1 − η p).
         leak: λ in [0, 1): the probability that a bag is positive for a reason other than the concept.
     """
 
@@ -132,7 +132,7 @@ class DiverseDensity:
     leak: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
     def __post_init__(self) -> None:
-        """Choose the method that the concept needs, and refuse another, and a scale that is none."""
+        """Choose the method that the concept needs; refuse an invalid method or scale."""
         known_scale = self.concept == POINT
         if self.method is None:
             object.__setattr__(self, "method", "gradient" if known_scale else "thorough")
@@ -142,7 +142,7 @@ class DiverseDensity:
             raise ValueError(f'{self.concept} needs method="thorough", got {self.method!r}')
 
     def log_density(self, points: ArrayLike, bags: Bags) -> FloatArray:
-        """Log diverse density, shape (S,), of points (S, d) at the given scale, as `log_diverse_density`."""
+        """Return the log diverse density (S,) of points (S, d) at the given scale, as `log_diverse_density`."""
         with torch.no_grad():
             value = log_diverse_density(
                 points, self.scale, bags, negative_strength=self.negative_strength, leak=self.leak
@@ -154,15 +154,15 @@ class DiverseDensity:
 
         Args:
             bags: The evidence.
-            starts: (m, d) more points to try in a gradient search, such as the peaks of the last search; what another
-                search starts from, or evaluates, instead of the instances of positive bags.
+            starts: Points (m, d). A gradient search tries them too, such as the peaks of the last search. Other
+                searches start from, or evaluate, them instead of the instances of positive bags.
 
         Returns:
-            The peaks, prior included, no two within `APART_BY`; of an exhaustive search the points that tie for the
-            maximum, in their order.
+            The peaks, prior included, no two within `APART_BY`. An exhaustive search returns the points that tie for
+            the maximum, in their order.
 
         Raises:
-            ValueError: No point to search from, or starts, features or a scale that do not fit the bags.
+            ValueError: There is no point to search from, or starts, features or scale do not fit the bags.
         """
         points = np.empty((0, bags.n_features)) if starts is None else real_array("starts", starts)
         if points.ndim != 2 or points.shape[1] != bags.n_features or not np.isfinite(points).all():
@@ -177,17 +177,16 @@ class DiverseDensity:
         return self._quick(distinct(np.concatenate([points, bags.smallest_positive(SMALLEST_BAGS)])), bags)
 
     def best(self, points: FloatArray, values: FloatArray) -> list[Peak]:
-        """The points (m, d) that tie for the largest of their values (m,), in their order, as peaks."""
+        """Return as peaks the points (m, d) that tie for the largest value (m,), in their order."""
         scale = self._scale(points.shape[1])
         ties = np.flatnonzero(values >= values.max() - TIED)
         return [Peak(points[i].copy(), scale, float(values[i]), True) for i in ties]
 
     def certain(self, positive: Sequence[FloatArray], starts: FloatArray | None = None) -> list[Peak]:
-        """Peaks that take no search: a point in every bag has density 1, the most there is, if no bag is negative.
+        """Return peaks that need no search: without negative bags, a point in every bag has the maximum density 1.
 
-        Of positive bags (n_i, d), instances in the order in which they were visited, they are what `search` finds from
-        the same starts. There are none where instances lie closer than `APART`: points between them then have density 1
-        as well.
+        Each positive bag (n_i, d) has its instances in order of visit. From the same starts `search` finds the same
+        peaks. The result is empty if instances lie closer than `APART`: points between them then have density 1 too.
         """
         scale = self._scale(positive[0].shape[1])
         longest = max(positive, key=len)
@@ -206,14 +205,14 @@ class DiverseDensity:
         return [Peak(point.copy(), scale, 0.0, True) for point in points]
 
     def evidence(self, bags: Bags) -> Evidence:
-        """The bags in scaled features, as the searches see them."""
-        # In the middle of the data products of features are smallest, and lose the fewest digits.
+        """Return the bags in scaled features, as searches see them."""
+        # Relative to the mean, products of features are smallest and lose the fewest digits.
         middle = bags.instances.mean(0).numpy()
         likelihood = Likelihood(self.negative_strength, self.leak, isinstance(self.concept, HalfSpace))
         return Evidence(bags, self.concept, middle, self._scale(bags.n_features), likelihood)
 
     def starts(self, evidence: Evidence, points: FloatArray | None = None) -> Tensor:
-        """θ (P, S) of every start of a thorough search: at scaled points (m, d), by default the instances."""
+        """Return θ (P, S) of all starts of a thorough search: scaled points (m, d), by default the instances."""
         if points is None:
             instances = evidence.positive_instances()
             points = instances[np.sort(np.unique(instances, axis=0, return_index=True)[1])]
@@ -221,15 +220,15 @@ class DiverseDensity:
         return self.concept.start(torch.from_numpy(points), 1.0)
 
     def descent(self, theta: Tensor, evidence: Evidence) -> BatchedLBFGS:
-        """The ascent of log density plus log prior from θ (P, S)."""
+        """Return the ascent of log density plus log prior from θ (P, S)."""
         return BatchedLBFGS(evidence.loss, theta, self.concept.bounds(len(evidence.scale)), tolerance=TOLERANCE)
 
     def peaks(
         self, theta: Tensor, loss: Tensor, converged: Tensor, evidence: Evidence, *, rounded: bool = False
     ) -> list[Peak]:
-        """Peaks at θ (P, S), smallest loss first, merged; the loss is −log density − log prior, (S,).
+        """Return the merged peaks at θ (P, S), smallest loss (S,) first; the loss is −log density − log prior.
 
-        Those that tie, ``rounded`` by a climb, come in the order of their parameters: no rounding decides.
+        With ``rounded`` losses, tied peaks are ordered by their parameters, so that no rounding error decides.
         """
         theta = self.concept.canonical(theta)
         density = (-loss - self.concept.log_prior(theta)[0]).tolist()
@@ -258,7 +257,7 @@ class DiverseDensity:
         return self.peaks(theta, evidence.value(theta), descent.converged, evidence, rounded=True)
 
     def _quick(self, points: FloatArray, bags: Bags) -> list[Peak]:
-        """Evaluate points (m, d), and let the best ascend a few steps. No peak is worse than its start."""
+        """Evaluate points (m, d) and let the best ascend a few steps. No peak is worse than its start."""
         evidence = self.evidence(bags)
         theta = torch.from_numpy(evidence.scaled(points).T.copy())
         known = {column.tobytes(): point for column, point in zip(theta.T.numpy(), points, strict=True)}
@@ -269,7 +268,7 @@ class DiverseDensity:
         theta, loss = theta[:, best], loss[best]
         converged = loss <= 0  # nothing is denser than 1
         if loss[0] > 0:
-            # Of a point whose every bag pulls with all its weight: a step is then never much too long.
+            # Curvature at a point where every bag pulls with full weight: no step is then much too long.
             curvature = 2 * max(1.0, bags.n_positive)
             bounds = self.concept.bounds(bags.n_features)
             descent = BatchedLBFGS(evidence.loss, theta, bounds, tolerance=ARRIVED, curvature=curvature)
@@ -284,13 +283,13 @@ class DiverseDensity:
         order = self._best_apart(theta, loss, len(loss))
         found = []
         for i, column in zip(order, theta.T.numpy()[order], strict=True):
-            # A start that was not left is itself, to the last bit.
+            # A start that did not move keeps its exact bits.
             point = known.get(column.tobytes(), column / evidence.scale + evidence.origin)
             found.append(Peak(point, evidence.scale, -float(loss[i]), bool(converged[i])))
         return found
 
     def _exhaustive_values(self, points: FloatArray, bags: Bags) -> FloatArray:
-        """`log_density` of points, (m,); of one-hot codes without comparing features."""
+        """Return `log_density` of points, (m,); one-hot codes need no comparison of features."""
         scale = self._scale(bags.n_features)
         if (scale == scale[0]).all() and is_one_hot(points) and is_one_hot(bags.instances.numpy()):
             return one_hot_log_density(points, float(scale[0]), bags, self.negative_strength, self.leak)
@@ -305,7 +304,7 @@ class DiverseDensity:
 
 
 def _shortlist(evidence: Evidence, theta: Tensor, n: int) -> Tensor:
-    """Up to ``n`` columns of θ (P, S): the best by a few of the bags, of which the best by more of them."""
+    """Return up to ``n`` columns of θ (P, S): the best on a few bags, then the best of these on more bags."""
     for n_bags in (SAMPLED_BAGS, SAMPLED_BAGS * PROMISING):
         if theta.shape[1] > n:
             loss = evidence.sample(n_bags).value(theta.float())
@@ -314,7 +313,7 @@ def _shortlist(evidence: Evidence, theta: Tensor, n: int) -> Tensor:
 
 
 def best_apart(points: FloatArray, loss: FloatArray, radius: float, n: int) -> list[int]:
-    """Rows of up to ``n`` points (S, P), smallest loss first, each further than ``radius`` from every better one."""
+    """Return rows of up to ``n`` points (S, P), smallest loss first, each beyond ``radius`` of every better one."""
     order = np.argsort(loss, kind="stable")
     points = points[order]
     apart = np.ones(len(order), dtype=bool)
@@ -330,7 +329,7 @@ def best_apart(points: FloatArray, loss: FloatArray, radius: float, n: int) -> l
 
 
 def ties_in_order(best: list[int], points: FloatArray, losses: Sequence[float]) -> list[int]:
-    """Rows of points (S, P), smallest loss first, with those that tie for it in the order of their parameters."""
+    """Return rows of points (S, P), smallest loss first; ties for it are ordered by their parameters."""
     limit = losses[best[0]] + TIES * max(1.0, abs(losses[best[0]]))
     tied = [i for i in best if losses[i] <= limit]
     key = functools.cmp_to_key(_compare)
@@ -338,6 +337,6 @@ def ties_in_order(best: list[int], points: FloatArray, losses: Sequence[float]) 
 
 
 def _compare(one: FloatArray, other: FloatArray) -> int:
-    """By the first parameter in which they differ."""
+    """Compare two points by the first parameter in which they differ."""
     apart = np.flatnonzero(np.abs(one - other) > SAME_PARAMETER)
     return int(np.sign(one[apart[0]] - other[apart[0]])) if len(apart) else 0

@@ -1,4 +1,4 @@
-"""What the kernels of the objective share: concepts a column each, and energies measured where products cancel."""
+"""Shared parts of the objective's kernels: concepts as columns, and exact energies where products cancel."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from torch import Tensor
 from sb3_options.density.layout import Segment
 
 CLOSE = 1 / 3
-"""An energy below the precision to this power, relative to the squares that it is the difference of, is measured again.
+"""An energy is measured again if it is below the precision to this power, relative to the squares it comes from.
 
-The rounding of an energy above is then less than 1e-10 of it in double precision.
+In double precision, larger energies have a relative rounding error below 1e-10.
 """
 
 CLOSE_PAIRS = 1 << 18  # numbers held at once while energies are measured again
@@ -23,9 +23,9 @@ LOG2_E = math.log2(math.e)
 
 
 class Likelihood(NamedTuple):
-    """What bags say of a concept: η in (0, 1] of negative instances, λ in [0, 1), and how energies become p.
+    """Parameters of the likelihood: strength η in (0, 1] of negative instances, leak λ in [0, 1), form of p.
 
-    p is exp(−z), or 1 / (1 + exp(z)) where it is ``logistic``; η then multiplies the odds of p.
+    p is exp(−z), or 1 / (1 + exp(z)) if ``logistic``; η then multiplies the odds of p.
     """
 
     strength: float = 1.0
@@ -36,9 +36,9 @@ class Likelihood(NamedTuple):
 class Columns(NamedTuple):
     """Concepts as the kernels read them: coefficients (2 d + 1, S) of 1, x_k and x_k², and centres (d, S).
 
-    The energy is Σ_k c_kk (x_k − centre_k)². Where a column is ``exact``, in double precision, small energies are
-    measured so, without cancellation, and their part of the gradient comes in ``Evaluation.near``. A half-space has no
-    centre, (0, S).
+    The energy is Σ_k c_kk (x_k − centre_k)². ``exact`` columns, in double precision, measure small energies by this
+    form, without cancellation. Their part of the gradient is in ``Evaluation.near``. A half-space has no centre,
+    (0, S).
     """
 
     coefficients: Tensor
@@ -46,14 +46,14 @@ class Columns(NamedTuple):
     exact: bool = False
 
     def take(self, numbers: Tensor | slice) -> Columns:
-        """Some of them."""
+        """Return some columns."""
         return Columns(self.coefficients[:, numbers], self.centre[:, numbers], self.exact)
 
 
 class Evaluation(NamedTuple):
     """Log densities (S,), in nats, and their gradients in the coefficients (K, S).
 
-    ``near`` is what the gradient of exact columns leaves out, (2 d, S), because moments would cancel there: Σ_j w_j
+    ``near`` (2 d, S) is the part missing from the gradient of exact columns, where moments would cancel: Σ_j w_j
     (x_j − centre) and Σ_j w_j (x_j − centre)² over instances close to the centre, with w_j = ∂ log DD / ∂z_j.
     """
 
@@ -63,7 +63,7 @@ class Evaluation(NamedTuple):
 
 
 def exponents(columns: Columns, segment: Segment, likelihood: Likelihood) -> Tensor:
-    """Coefficients of −z / log 2; where there are weak negative instances, with a row that makes p of it η p."""
+    """Return the coefficients of −z / log 2. For weak negative instances an extra row turns p into η p."""
     scaled = columns.coefficients * -LOG2_E
     if likelihood.strength < 1 and len(segment.negative_rows):
         strength = scaled.new_full((1, scaled.shape[1]), LOG2_E * math.log(likelihood.strength))
@@ -72,7 +72,7 @@ def exponents(columns: Columns, segment: Segment, likelihood: Likelihood) -> Ten
 
 
 class ClosePairs(NamedTuple):
-    """Instances close to the centres of starts: numbers of both (pairs,), and whether the centre hits the instance."""
+    """Pairs of an instance and a start with a close centre: indices (pairs,), and whether the centre hits."""
 
     place: Tensor
     start: Tensor
@@ -80,9 +80,9 @@ class ClosePairs(NamedTuple):
 
 
 def measure_close_pairs(log2_p: Tensor, columns: Columns, segment: Segment, likelihood: Likelihood) -> ClosePairs:
-    """Energies near 0, where the products cancel, once more as Σ_k c_kk (x_k − centre_k)²: in place, and which.
+    """Measure energies near 0, where products cancel, again as Σ_k c_kk (x_k − centre_k)². Return these pairs.
 
-    A weak negative instance is no more likely than η. Where η is far from 1 it is left as it is.
+    Writes to ``log2_p``. A weak negative instance has p ≤ η. It is left as it is if η is far from 1.
     """
     size = columns.coefficients[0].abs().add_(1).mul_(-(torch.finfo(log2_p.dtype).eps ** CLOSE))
     size = torch.where(columns.centre.isfinite().all(0), size, math.inf)
@@ -101,7 +101,7 @@ def measure_close_pairs(log2_p: Tensor, columns: Columns, segment: Segment, like
 
 
 def take_near(weights: Tensor, close: ClosePairs, columns: Columns, segment: Segment) -> Tensor:
-    """``Evaluation.near`` of these pairs, whose weights in ``weights`` (N, S) are set to 0."""
+    """Return ``Evaluation.near`` of these pairs, and set their ``weights`` (N, S) to 0."""
     d = len(columns.centre)
     near = weights.new_zeros(2 * d, weights.shape[1])
     for part in _parts(close.place, columns):
@@ -119,13 +119,13 @@ def _parts(places: Tensor, columns: Columns) -> Iterator[slice]:
 
 
 def _difference(place: Tensor, start: Tensor, columns: Columns, segment: Segment) -> Tensor:
-    """Of instances and centres, (pairs, d)."""
+    """Return instances minus centres, (pairs, d)."""
     rows = segment.powers[place]
     return rows[:, 1 : len(columns.centre) + 1] / rows[:, :1] - columns.centre[:, start].T
 
 
 def moments(segment: Segment, p: Tensor, k: int) -> Tensor:
-    """Sums over instances of the weights in p times the first k powers, (k, S)."""
+    """Sum the weights in p times the first k powers over instances, (k, S)."""
     if p.is_contiguous():
         return torch.mm(segment.powers_by_power[:k], p)
     return torch.mm(p.T, segment.powers_by_power[:k].T).T

@@ -1,4 +1,4 @@
-"""Bags as a search for one class of concepts sees them: scaled, and packed once."""
+"""Bags in the form that a search for one class of concepts needs: scaled, and packed once."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from sb3_options.density.energies import Columns, Likelihood
 from sb3_options.density.layout import Segment, Workspace, segments_of
 from sb3_options.density.objective import evaluate
 
-FARTHEST = 1e15  # widths from the origin whose squares, times those of learned scales, single precision can hold
+FARTHEST = 1e15  # widths from the origin: squared and times squared learned scales, they fit single precision
 
 
 class Evidence:
-    """Bags in scaled features, (x − origin) · scale, in as many precisions as are asked for."""
+    """Bags in scaled features, (x − origin) · scale, in each precision requested."""
 
     def __init__(
         self, bags: Bags, concept: Concept, origin: FloatArray, scale: FloatArray, likelihood: Likelihood
@@ -34,7 +34,7 @@ class Evidence:
         self._segments: dict[torch.dtype, list[Segment]] = {}
 
     def sample(self, n: int) -> Evidence:
-        """Evidence of up to ``n`` positive and ``n`` negative bags, evenly spaced."""
+        """Return evidence of up to ``n`` positive and ``n`` negative bags, evenly spaced."""
         positive = self._arrays.positive
         chosen = np.concatenate([evenly(np.flatnonzero(positive == sign), n) for sign in (True, False)])
         sample = copy.copy(self)
@@ -45,12 +45,13 @@ class Evidence:
 
     @torch.inference_mode()
     def loss(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """−log DD − log prior of every column of θ (P, S), shape (S,), and its gradient (P, S).
+        """Return −log DD − log prior of every column of θ (P, S), shape (S,), and its gradient (P, S).
 
-        An energy z at scaled features x, relative to their middle, has an error of some ε (‖s x‖² + ‖s t‖²), and
-        log(1 − η p) of a negative instance that over 1 − η p; in double precision also where a centre comes close,
-        with the rounding of θ left: ε ‖s t‖ over the distance. ε is 1e-15, or 1e-6 in single precision, in which a
-        negative instance that is hit costs some 15 nats instead of up to ∞: enough to refuse it, while a search runs.
+        An energy z at scaled features x, relative to their mean, has an error of about ε (‖s x‖² + ‖s t‖²). For
+        log(1 − η p) of a negative instance this error is divided by 1 − η p. In double precision this also holds where
+        a centre comes close. There the rounding of θ remains: ε ‖s t‖ over the distance. ε is 1e-15, or 1e-6 in single
+        precision. In single precision a hit negative instance costs about 15 nats instead of up to ∞, enough to refuse
+        it during a search.
         """
         columns = Columns(self.concept.coefficients(theta), self.concept.centre(theta))
         at = evaluate(columns, self.segments(theta.dtype), self._likelihood, self._workspace)
@@ -60,7 +61,7 @@ class Evidence:
 
     @torch.inference_mode()
     def value(self, theta: Tensor) -> Tensor:
-        """The loss alone, (S,); in double precision small energies are measured exactly."""
+        """Return the loss alone, (S,); double precision measures small energies exactly."""
         centre = self.concept.centre(theta)
         exact = theta.dtype == torch.float64 and not self._likelihood.logistic
         columns = Columns(self.concept.coefficients(theta), centre, exact)
@@ -68,17 +69,17 @@ class Evidence:
         return at.log_density.add_(self.concept.log_prior(theta)[0]).neg_()
 
     def positive_instances(self) -> FloatArray:
-        """Scaled instances of all positive bags, (n, m)."""
+        """Return the scaled instances of all positive bags, (n, m)."""
         return self._arrays.instances[np.repeat(self._arrays.positive, self._arrays.lengths)]
 
     def segments(self, dtype: torch.dtype) -> list[Segment]:
-        """The bags in this precision; packed once."""
+        """Return the bags in this precision; packed once."""
         if dtype not in self._segments:
             self._segments[dtype] = segments_of(self._arrays, dtype)
         return self._segments[dtype]
 
     def scaled(self, instances: FloatArray) -> FloatArray:
-        """Features (n, d) in scaled features (n, m)."""
+        """Convert features (n, d) to scaled features (n, m)."""
         scaled: FloatArray = (instances - self.origin) * self.scale
         reach = np.abs(scaled).max(initial=0)
         if reach > FARTHEST:
@@ -90,5 +91,5 @@ class Evidence:
 
 
 def evenly(rows: Any, n: int) -> Any:
-    """Up to ``n`` rows of an array, evenly spaced."""
+    """Return up to ``n`` rows of an array, evenly spaced."""
     return rows if len(rows) <= n else rows[np.linspace(0, len(rows) - 1, n).round().astype(np.int64)]

@@ -1,4 +1,4 @@
-"""Groups of features: which of them make a concept together, whatever the others are."""
+"""Groups of features that make a concept together, whatever the other features are."""
 
 from __future__ import annotations
 
@@ -13,30 +13,29 @@ from sb3_options.checked import Field, settings
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
 
 Number: TypeAlias = Annotated[int, Field(ge=0)]
-"""Of a feature."""
+"""Index of a feature."""
 
 
 @settings
 class FeatureGroup:
     """Features of concept space that make a concept together (the subsets of McGovern & Barto 2001, §7 and §8).
 
-    A concept of the group says nothing of the other features: "a closed door straight ahead, whatever else".
+    A concept of the group leaves all other features open: "a closed door straight ahead, whatever else".
 
     Attributes:
-        name: For people.
-        features: Numbers of the group's own features among all of φ, k of them.
-        present: Sets of these numbers. Where all features of one set are 0, what the group is about is not there: that
-            is no place, neither a subgoal nor in an initiation set. By default every state is one.
-        scale: Factor for each of its own features before distances are taken, (k,); None for 1.
-        seen: Features that an option for a concept of this group sees: its initiation set lies in them, and its policy
-            acts on them. A group that begins with this one's features, or a mapping of its fields; None for this group
-            itself. With more features the option can begin where what it is about is not in view yet, and go around
-            what is in the way.
-        coordinates: Numbers of those of its features that say where a thing is, so that an action displaces them by the
-            same vector wherever it is: from steps near a thing an option then learns those farther away
-            (`options.imagined`). By default none.
-        labels: What its own features are called where a concept is told to people, k texts, empty for what goes without
-            saying; by default numbers alone are told. Groups that differ in nothing else are equal.
+        name: Name for people.
+        features: Indices of the group's k own features in φ.
+        present: Sets of these indices. If all features of a set are 0, the group's thing is absent. Such a state is no
+            place, neither a subgoal nor in an initiation set. By default every state is a place.
+        scale: Factor for each own feature before distances are taken, (k,); None for 1.
+        seen: Features that an option of this group sees, in its initiation set and its policy. A group that begins
+            with this group's features, or a mapping of its fields; None for this group itself. With more features the
+            option can begin before its thing is in view, and avoid obstacles.
+        coordinates: Indices of own features that locate a thing, so that an action displaces them by the same vector
+            everywhere. From steps near a thing an option then learns steps farther away (`options.imagined`). By
+            default none.
+        labels: Names of own features in descriptions, k texts, empty for a feature that is left out. By default only
+            numbers are shown. Groups that differ only in labels are equal.
     """
 
     name: str
@@ -48,7 +47,7 @@ class FeatureGroup:
     labels: Sequence[str] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        """Make the fields tuples, which compare, and refuse those that do not fit each other."""
+        """Turn the fields into tuples, which can be compared, and refuse inconsistent fields."""
         k = len(self.features)
         own = set(self.features)
         tuples = {name: tuple(getattr(self, name)) for name in ("features", "coordinates", "labels")}
@@ -72,11 +71,11 @@ class FeatureGroup:
 
     @property
     def sees(self) -> FeatureGroup:
-        """The features that an option for a concept of this group sees."""
+        """The features that an option of this group sees."""
         return self.seen or self
 
     def own(self, features: FloatArray) -> FloatArray:
-        """The group's own features (batch, k) of all features (batch, d)."""
+        """Return the group's own features (batch, k) from all features (batch, d)."""
         if self._last >= features.shape[1]:
             raise ValueError(
                 f"group {self.name!r} names feature {self._last}, the feature map gives {features.shape[1]}"
@@ -84,15 +83,15 @@ class FeatureGroup:
         return features.take(self._columns, axis=1)
 
     def told(self, point: FloatArray) -> str | None:
-        """A point (k,) by the labels of its features, for people; None if they have none."""
+        """Describe a point (k,) by the labels of its features; None without labels."""
         if not self.labels:
             return None
         said = ", ".join(f"{label} {x:g}" for label, x in zip(self.labels, point.tolist(), strict=True) if label)
         return f"{self.name} at {said}" if said else self.name
 
     def is_place(self, features: FloatArray) -> BoolArray:
-        """Whether what the group is about is there, for features (batch, d), shape (batch,)."""
-        if len(features) == 1:  # in every step of an agent, where a call of numpy costs more than the rest
+        """Whether the group's thing is present, for features (batch, d), shape (batch,)."""
+        if len(features) == 1:  # every step of an agent, where a numpy call costs more than the rest
             one = features[0].tolist()
             return np.array([all(any(one[i] != 0 for i in numbers) for numbers in self.present)])
         there = np.ones(len(features), dtype=bool)
@@ -114,7 +113,7 @@ class FeatureGroup:
 
 
 def checked_groups(groups: Iterable[FeatureGroup], n_features: int) -> tuple[FeatureGroup, ...]:
-    """The groups themselves; a ValueError if one names an unknown feature."""
+    """Return the groups; raise ValueError if one names an unknown feature."""
     groups = tuple(groups)
     for group in groups:
         for each in (group, group.sees):

@@ -1,9 +1,10 @@
-"""Bags cut into segments that fit the cache, laid out so that uneven bags waste nothing.
+"""Cuts bags into segments that fit the cache, in a layout that wastes nothing on uneven bags.
 
-A bag is cut into rows of nearly equal length, at most `width` instances each. The rows of a segment are ordered by
-length, longest first, and stored place by place: first the first instance of every row, then the second instance of
-every row that has one, and so on. So the k-th places are a block whose rows are a prefix of all rows, every reduction
-over a bag is a chain of operations on whole blocks, and no place is padding.
+A bag is cut into rows of nearly equal length, at most ``SHORTEST_WIDTH`` instances each, or √n if that is more, for the
+longest bag of n. The rows of a segment are ordered by length, longest first, and stored place by place: first the first
+instance of every row, then the second instance of every row that has one, and so on. So the k-th places are a block
+whose rows are a prefix of all rows. Every reduction over a bag is a chain of operations on whole blocks, without
+padding.
 """
 
 from __future__ import annotations
@@ -18,16 +19,16 @@ from torch import Tensor
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
 
 SEGMENT_INSTANCES = 1 << 17
-"""Instances a segment holds, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
+"""Maximum instances of a segment, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
 
-SHORTEST_WIDTH = 16  # rows are at least this wide: every place costs three calls, every row a share of the work on rows
-FEW_STARTS = 9  # below this many starts arrays are stored start by start: products with so few columns are slow
+SHORTEST_WIDTH = 16  # smallest limit on row length: a place costs three calls, a row its share of the work on rows
+FEW_STARTS = 9  # below this, arrays are stored start by start: products with so few columns are slow
 
 
 class Segment(NamedTuple):
     """Some bags, as the kernels read them; R rows, N instances, B positive bags.
 
-    Powers are 1, x_k and x_k², and, if there are negative instances, a column that is 1 for those, else 0.
+    Powers are 1, x_k and x_k². If there are negative instances, one more column is 1 for these and 0 for others.
     """
 
     powers: Tensor  # (N, K)
@@ -49,13 +50,13 @@ class BagArrays(NamedTuple):
     positive: BoolArray
 
     def take(self, numbers: IntArray) -> BagArrays:
-        """Some of these bags, at least one."""
+        """Return some bags, at least one."""
         ends = np.cumsum(self.lengths)
         instances = np.concatenate([self.instances[ends[i] - self.lengths[i] : ends[i]] for i in numbers])
         return BagArrays(instances, self.lengths[numbers], self.positive[numbers])
 
     def split(self, n_instances: int) -> list[BagArrays]:
-        """Parts of up to ``n_instances`` instances, no bag divided between two."""
+        """Split into parts of up to ``n_instances`` instances, without dividing a bag."""
         ends = np.cumsum(self.lengths)
         parts, first = [], 0
         while first < len(ends):
@@ -69,7 +70,7 @@ class BagArrays(NamedTuple):
 
 
 def segments_of(bags: BagArrays, dtype: torch.dtype) -> list[Segment]:
-    """Lay out bags in segments, in the units the concept is searched in."""
+    """Lay out bags in segments, in the units of the search."""
     return [_segment_of(part, dtype) for part in bags.split(SEGMENT_INSTANCES)]
 
 
@@ -117,36 +118,36 @@ def _segment_of(bags: BagArrays, dtype: torch.dtype) -> Segment:
 
 
 class Arrays(NamedTuple):
-    """What one evaluation writes into, for N instances in R rows and S starts."""
+    """Buffers of one evaluation, for N instances in R rows and S starts."""
 
     p: Tensor  # (N, S)
-    rows: Tensor  # (2, R, S): probabilities of a hit in each row, and of none
+    rows: Tensor  # (2, R, S): probabilities of a hit and of no hit in each row
     divisor: Tensor  # (R, S)
     divisors: Tensor  # (B + 1, S), the last one 1
-    ends: Tensor  # (2, 1, 1): what a hit makes of both probabilities, 1 and 0
-    p_blocks: tuple[Tensor, ...]  # views of the first instances of all rows, of the second ones, and so on
-    rows_blocks: tuple[Tensor, ...]  # views of the rows that have a first instance, a second one, and so on
+    ends: Tensor  # (2, 1, 1): both probabilities after a hit, 1 and 0
+    p_blocks: tuple[Tensor, ...]  # views of the first instances of all rows, the second ones, and so on
+    rows_blocks: tuple[Tensor, ...]  # views of the rows with a first instance, a second one, and so on
     divisor_blocks: tuple[Tensor, ...]
-    spare_blocks: tuple[Tensor, ...]  # of no meaning
-    by_bag: Tensor  # (2, R of positive bags, S): their rows, the first of every bag, then the second, and so on
-    hit_by_bag: tuple[Tensor, ...]  # views of those, and of the bags that have them
+    spare_blocks: tuple[Tensor, ...]  # scratch memory
+    by_bag: Tensor  # (2, R of positive bags, S): the first row of every bag, then the second, and so on
+    hit_by_bag: tuple[Tensor, ...]  # views of these rows, and of the bags that have them
     miss_by_bag: tuple[Tensor, ...]
     hit_of_bags: tuple[Tensor, ...]
     miss_of_bags: tuple[Tensor, ...]
 
 
 class Workspace:
-    """Arrays that every evaluation writes into: fresh memory and fresh views cost as much as the arithmetic."""
+    """Buffers reused by every evaluation: new memory and new views would cost as much as the arithmetic."""
 
     VIEWS = 8
-    """Numbers of starts whose views are kept, of each segment."""
+    """Maximum views kept per segment, one per number of starts and precision."""
 
     def __init__(self) -> None:
         self._flat = torch.empty(0)
         self._views: dict[int, tuple[Segment, dict[tuple[int, torch.dtype], Arrays]]] = {}
 
     def take(self, segment: Segment, n_starts: int, like: Tensor) -> Arrays:
-        """Uninitialised arrays with the precision of ``like``."""
+        """Return uninitialised arrays with the precision of ``like``."""
         key = (n_starts, like.dtype)
         _, views = self._views.setdefault(id(segment), (segment, {}))
         if key in views:
@@ -189,5 +190,5 @@ class Workspace:
 
 
 def _columns(flat: Tensor, n_starts: int) -> Tensor:
-    """As (rows, S), stored row by row or, for few starts, start by start."""
+    """View as (rows, S), stored row by row or, for few starts, start by start."""
     return flat.view(-1, n_starts) if n_starts >= FEW_STARTS else flat.view(n_starts, -1).T

@@ -1,7 +1,7 @@
 """Limited-memory BFGS within bounds, for many starts at once.
 
-Nocedal (1980) with the curvature pairs of every start in its own column, so that one call of the objective serves
-all; after Bertsekas (1982), parameters at a bound that the gradient pushes against are left out of the direction.
+This is Nocedal (1980) with the curvature pairs of every start in its own column, so one call of the objective serves
+all. After Bertsekas (1982), the direction omits parameters that the gradient pushes against a bound.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from torch import Tensor
 PAIRS = 6
 """Curvature pairs kept."""
 
-SUFFICIENT = 1e-4  # Armijo's constant: the part of the decrease that the slope promises
-SHORTEN = 0.3  # factor of a step that did not decrease enough
-CURVED = 1e-8  # a pair with s·y below this times y·y says nothing about curvature
-SHORTEST = 1e-10  # a start whose step has been shortened below this is at rest as far as this precision can tell
+SUFFICIENT = 1e-4  # Armijo's constant: required share of the decrease that the slope promises
+SHORTEN = 0.3  # factor for a step that did not decrease enough
+CURVED = 1e-8  # a pair with s·y below this times y·y tells nothing about curvature
+SHORTEST = 1e-10  # a start with a shorter step has converged, as far as this precision can tell
 
 FINEST = 8
-"""Rounding errors of an objective, in units of the precision."""
+"""Rounding error of an objective, in units of the precision."""
 
 Objective = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Parameters (P, S) → values (S,) to be minimised and gradients (P, S)."""
 
 
 class BatchedLBFGS:
-    """Many starts (P, S) on their way down, each with its value (S,) and whether it has ``converged``.
+    """The descent of many starts (P, S), each with its value (S,) and whether it has ``converged``.
 
-    Every call of the objective moves every start: those whose step decreased their value go on from there, the others
-    try a shorter one. A value or gradient that is not finite counts as no decrease. Bounds are (P, 1) each.
+    Every call of the objective tries a step of every start. A start accepts a step that decreases its value, and
+    otherwise tries a shorter one. A non-finite value or gradient counts as no decrease. Bounds are (P, 1) each.
 
-    Before a step has shown the ``curvature``, the first step has length 1 at most, unless it is given. A start has
-    converged when two accepted steps running decrease its value by less than ``tolerance`` times ``max(1, |value|)``,
-    when no component of its gradient that is free exceeds that, or when no step, however short, decreases the value. In
-    single precision, where a smaller decrease is rounding, the tolerance is at least `FINEST` times its precision.
+    Unless ``curvature`` is given, the first step has length 1 at most. A start has converged when two accepted steps in
+    a row change its value by less than ``tolerance`` times ``max(1, |value|)``, when no free component of its gradient
+    exceeds the tolerance, or when no step, however short, decreases the value. The tolerance is at least `FINEST`
+    times the precision, because a smaller decrease is rounding.
     """
 
     @torch.inference_mode()
@@ -65,10 +65,10 @@ class BatchedLBFGS:
 
     @torch.inference_mode()
     def run(self, steps: int, *, contest: bool = False) -> None:
-        """Go on for at most ``steps`` calls of the objective.
+        """Continue for at most ``steps`` calls of the objective.
 
-        With ``contest`` it stops as soon as no start promises to reach the best value so far, or to improve by more
-        than the tolerance. What it promises is twice the decrease of a quadratic: its slope along the direction.
+        With ``contest`` it stops once no start promises to reach the best value so far, or to improve by more than the
+        tolerance. The promise is the slope along the direction, twice the decrease of a quadratic.
         """
         for _ in range(steps):
             done = self.converged
@@ -82,7 +82,7 @@ class BatchedLBFGS:
 
     @torch.inference_mode()
     def keep(self, columns: list[int], dtype: torch.dtype) -> None:
-        """Go on with these starts only, in this precision, without forgetting curvature."""
+        """Continue with these starts only, in this precision, keeping their curvature."""
         changed = dtype != self.theta.dtype
         for name in ("theta", "value", "_gradient", "_direction", "_length", "_idle", "converged"):
             kept = getattr(self, name)[..., columns]
@@ -134,7 +134,7 @@ class BatchedLBFGS:
         self.converged = (self._idle >= 2) | (self._length < SHORTEST) | self._flat(free)
 
     def _flat(self, free: Tensor | None) -> Tensor:
-        """Where nothing is left of the gradient that a parameter may follow: (S,)."""
+        """Whether the gradient that parameters may follow is within the tolerance: (S,)."""
         steepest = self._gradient if free is None else torch.where(free, self._gradient, 0)
         return steepest.abs().amax(0) <= self._tolerance_of(self.value)
 
@@ -142,7 +142,7 @@ class BatchedLBFGS:
         return max(self._tolerance, FINEST * torch.finfo(value.dtype).eps)
 
     def _free(self) -> Tensor | None:
-        """Where a parameter may follow its gradient: (P, S), or None for everywhere."""
+        """Which parameters may follow their gradient: (P, S), or None for all."""
         if not self._bounded:
             return None
         held_low = (self.theta <= self._low) & (self._gradient > 0)
@@ -151,7 +151,7 @@ class BatchedLBFGS:
 
 @functools.cache
 def _ring_orders() -> tuple[list[Tensor], list[Tensor]]:
-    """For every place of the oldest pair in the rings: the order of s and then y by age, and the way back."""
+    """Return, for every place of the oldest pair, the order of s and then y by age, and its inverse."""
     place = torch.arange(PAIRS)
     rings = [(place + i) % PAIRS for i in range(PAIRS)]
     by_age = [torch.cat([ring, ring + PAIRS]) for ring in rings]
@@ -159,31 +159,31 @@ def _ring_orders() -> tuple[list[Tensor], list[Tensor]]:
 
 
 class CurvaturePairs:
-    """The last steps s and changes of gradient y of every start, and the direction they make of a gradient.
+    """The last steps s and gradient changes y of every start, which turn a gradient into a direction.
 
-    The compact form of Byrd, Nocedal & Schnabel (1994, theorem 2.2) takes a few products of small matrices for all
-    starts: H g = γ g + S q − γ Y p with p = R⁻¹ Sᵀg, q = R⁻ᵀ ((D + γ YᵀY) p − γ Yᵀg), R the upper triangle of SᵀY, D
-    its diagonal.
+    The compact form of Byrd, Nocedal & Schnabel (1994, theorem 2.2) needs only a few products of small matrices:
+    H g = γ g + S q − γ Y p with p = R⁻¹ Sᵀg, q = R⁻ᵀ ((D + γ YᵀY) p − γ Yᵀg), R the upper triangle of SᵀY, D its
+    diagonal.
     """
 
     def __init__(self, theta: Tensor, size: float = 0.0) -> None:
         n = PAIRS
         n_parameters, n_starts = theta.shape
-        self._both = theta.new_zeros(n_starts, 2 * n, n_parameters)  # the last n of s and then of y, each a ring
+        self._both = theta.new_zeros(n_starts, 2 * n, n_parameters)  # the last n s, then the last n y, each a ring
         self._sy = torch.eye(n, dtype=theta.dtype).repeat(n_starts, 1, 1)  # (S, n, n), R is upper
         self._yy = torch.zeros_like(self._sy)
-        self._good = torch.zeros_like(self._sy[:, :, :1])  # (S, n, 1): 1 for a pair that says something, else 0
+        self._good = torch.zeros_like(self._sy[:, :, :1])  # (S, n, 1): 1 for a usable pair, else 0
         self._size = theta.new_full((n_starts,), size)  # γ = s·y / y·y of the last good pair; 0 if none is known
         self._n = 0
         self._oldest_first, self._as_stored = _ring_orders()
 
     def keep(self, columns: list[int], dtype: torch.dtype) -> None:
-        """These starts only, in this precision."""
+        """Keep these starts only, in this precision."""
         for name in ("_both", "_sy", "_yy", "_good", "_size"):
             setattr(self, name, getattr(self, name)[columns].to(dtype))
 
     def add(self, step: Tensor, change: Tensor) -> None:
-        """Take in a pair per start; (P, S), 0 where a start did not move."""
+        """Add a pair per start, (P, S); 0 where a start did not move."""
         at = self._n % PAIRS
         self._n += 1
         along, square = (step * change).sum(0), change.square().sum(0)
@@ -197,11 +197,11 @@ class CurvaturePairs:
         self._good[:, :-1] = self._good[:, 1:].clone()
         self._good[:, -1, 0] = good
         self._sy[:, :, -1] = with_y[:, :PAIRS]
-        self._sy[:, -1, -1] += ~good  # what lies below the diagonal is never read
+        self._sy[:, -1, -1] += ~good  # entries below the diagonal are never read
         self._yy[:, :, -1] = self._yy[:, -1] = with_y[:, PAIRS:]
 
     def direction(self, gradient: Tensor, free: Tensor | None) -> Tensor:
-        """−H g, (P, S), within the parameters that are free; where it does not descend, against the gradient."""
+        """Return −H g, (P, S), in the free parameters; where it does not descend, the steepest descent."""
         start = gradient if free is None else torch.where(free, gradient, 0)
         # The first step has length 1 at most.
         size = torch.where(self._size > 0, self._size, start.square().sum(0).rsqrt().clamp(max=1))
@@ -221,6 +221,6 @@ class CurvaturePairs:
         return torch.where((newton * start).sum(0) < 0, newton, out)
 
     def _products(self, row: Tensor) -> Tensor:
-        """Of (S, 1, P) with every s and every y, oldest first: (S, 2 n, 1)."""
-        # The other way about, with a column on the right, the product takes nine times as long.
+        """Return products of (S, 1, P) with every s and every y, oldest first: (S, 2 n, 1)."""
+        # With a column on the right instead, the product takes nine times as long.
         return (row @ self._both.transpose(1, 2)).transpose(1, 2)[:, self._oldest_first[self._n % PAIRS]]

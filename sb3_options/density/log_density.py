@@ -1,4 +1,4 @@
-"""Log diverse density of points, exactly, and its gradient for autograd."""
+"""Exact log diverse density of points, with its gradient for autograd."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sb3_options.density.objective import evaluate
 
 
 def _columns(t: Tensor, s: Tensor) -> Columns:
-    """Points relative to the origin of the bags, and scales, (S, d), as the kernels read them."""
+    """Convert points (relative to the bags' origin) and scales, (S, d), to the kernels' form."""
     t, squares = t.T, s.T.square()
     return Columns(torch.cat([(squares * t * t).sum(0, keepdim=True), -2 * squares * t, squares]), t, exact=True)
 
@@ -48,11 +48,11 @@ def log_diverse_density(
     negative_strength: float = 1.0,
     leak: float = 0.0,
 ) -> Tensor:
-    """Log diverse density log DD(t, s) = Σ_i log Pr(t | B_i⁺) + Σ_i log Pr(t | B_i⁻), at most 0 (`objective`).
+    """Return log diverse density log DD(t, s) = Σ_i log Pr(t | B_i⁺) + Σ_i log Pr(t | B_i⁻) ≤ 0 (`objective`).
 
-    Differentiable once in points and scales. Finite at any distance, and −inf just where a point hits an
-    instance of a negative bag at full strength. An instance that is hit adds nothing to the gradient. The error is
-    below 1e-9 of the value, plus the rounding of the sum.
+    It is differentiable once in points and scales. It is finite at any distance, and −inf only where a point hits an
+    instance of a negative bag at full strength. A hit instance adds nothing to the gradient. The error is below 1e-9
+    of the value, plus the rounding of the sum.
 
     Args:
         points: (S, d) concepts t, in the units of the features.
@@ -61,13 +61,13 @@ def log_diverse_density(
         negative_strength: η in (0, 1]: below 1 a negative instance does not rule a point out.
         leak: λ in [0, 1): the probability that a bag is positive for a reason other than the concept, as in a leaky
             noisy-or (Henrion 1989): Pr(t | B⁺) = λ + (1 − λ) (1 − Π_j (1 − p_j)). Above 0, a bag without the concept
-            costs no more than log λ, however far it is.
+            costs at most log λ, at any distance.
 
     Returns:
         Shape (S,), in nats, in double precision.
 
     Raises:
-        ValueError: Shapes that do not fit the bags, values not finite, scales, strength or leak out of range.
+        ValueError: Shapes do not fit the bags, values are not finite, or scales, strength or leak are out of range.
     """
     if not (0 < negative_strength <= 1 and 0 <= leak < 1):
         raise ValueError(f"negative_strength must be in (0, 1], leak in [0, 1), got {negative_strength} and {leak}")

@@ -1,20 +1,19 @@
-"""Log diverse density of any concept, value and closed-form gradient, near the speed of the machine.
+"""Log diverse density of any concept, with its closed-form gradient, near the speed of the machine.
 
-A concept enters as one number per instance, its energy z = c₀ + Σ_k c_k x_k + Σ_k c_kk x_k² ≥ 0, linear in
-coefficients c that the concept computes from its parameters (`concepts`); p = Pr(x ∈ concept) = exp(−z), of a
-half-space 1 / (1 + exp(z)) for any z. The bags are noisy-ors (Maron & Lozano-Pérez 1998) with a leak λ (Henrion 1989),
-and η is the strength of negative instances, of a half-space that of their odds:
+A concept enters as one number per instance, its energy z = c₀ + Σ_k c_k x_k + Σ_k c_kk x_k² ≥ 0. The concept computes
+the coefficients c from its parameters (`concepts`). p = Pr(x ∈ concept) = exp(−z); for a half-space it is
+1 / (1 + exp(z)) for any z. The bags are noisy-ors (Maron & Lozano-Pérez 1998) with a leak λ (Henrion 1989). η is the
+strength of negative instances; for a half-space it multiplies their odds:
 
     h_i = λ + (1 − λ) (1 − Π_j (1 − p_ij))
     log DD = Σ_i log h_i + Σ_i Σ_j log(1 − η p_ij)      (positive bags, negative bags)
 
-The gradient in the coefficients is Σ_ij (∂ log DD / ∂z_ij) (1, x, x²): two matrix products, and between them one
-exponential and five cheap passes over the (instances × starts) matrix, a block at a time so that it stays in the
-cache. `_quick` does that wherever nothing under- or overflows; it notices where something does, and those starts are
-done again by `careful`, which factors out each bag's smallest energy and is right at any distance.
+The gradient in the coefficients is Σ_ij (∂ log DD / ∂z_ij) (1, x, x²). It takes two matrix products, and between them
+one exponential and five cheap passes over the (instances × starts) matrix, block by block to stay in the cache.
+`_quick` does this, and notices which starts under- or overflow. `careful` repeats these starts: it factors out each
+bag's smallest energy and is correct at any distance.
 
-In double precision the energies of instances close to a concept's centre, where the products cancel, are measured
-again as differences.
+In double precision, energies close to a concept's centre, where products cancel, are measured again as differences.
 """
 
 from __future__ import annotations
@@ -39,16 +38,16 @@ from sb3_options.density.energies import (
 from sb3_options.density.layout import Arrays, Segment, Workspace
 
 MAX_PAIRS = 1 << 20
-"""(instances × starts) held at once, unless one bag alone has more. Such an array is 4 MiB in single precision."""
+"""Maximum (instances × starts) held at once, 4 MiB in single precision, unless one bag alone has more."""
 
 NEAR_NEGATIVE = 2.0**-20
-"""Where the product of 1 − p over a row of negative instances is below this, its logarithm is computed carefully."""
+"""If the product of 1 − p over a row of negative instances is below this, `careful` computes its logarithm."""
 
 
 def evaluate(
     columns: Columns, segments: list[Segment], likelihood: Likelihood, workspace: Workspace, *, gradient: bool = True
 ) -> Evaluation:
-    """Log density and gradient of every column, as fresh tensors."""
+    """Return log density and gradient of every column, as new tensors."""
     first, *others = (_of_segment(columns, segment, likelihood, workspace, gradient) for segment in segments)
     for other in others:
         for total, part in zip(first, other, strict=True):
@@ -78,7 +77,7 @@ def _of_segment(
 def _quick(
     columns: Columns, segment: Segment, likelihood: Likelihood, workspace: Workspace, gradient: bool
 ) -> tuple[Evaluation, Tensor]:
-    """The evaluation, and for which starts it can be relied on (S,).
+    """Return the evaluation, and for which starts it is reliable (S,).
 
     h ← h + p (1 − h) gives the probability of a hit without cancellation at either end. The rest follows from
     ∂ log h / ∂z_j = −p_j / (1 − p_j) · (1 − h) / h, and −log(1 − p_j) for a negative instance from the product of
@@ -91,7 +90,7 @@ def _quick(
     none = columns.centre[:0]
     scaled = exponents(columns, segment, likelihood)
     if not (columns.exact or likelihood.logistic):
-        # A product that rounds to an energy below 0 would make p > 1; the margin keeps p below 1, costs 1e-6 of it.
+        # A product that rounds to an energy below 0 would make p > 1. The margin prevents this, and costs 1e-6 of p.
         scaled[0].mul_(1 + 4 * precision.eps).sub_(4 * precision.eps)
     _energies(scaled, segment, p, 0.95 * math.log2(precision.tiny))
     if columns.exact:
@@ -105,10 +104,10 @@ def _quick(
     if not gradient:
         return Evaluation(value, none, none), fine
     if close is not None:
-        # A p that rounds to 1 leaves 0/0, and its instance lies where it hardly pulls.
+        # A p that rounds to 1 leaves 0/0, and its instance hardly pulls there.
         p[close.place, close.start] *= p[close.place, close.start] < 1
     steps = zip(arrays.p_blocks, arrays.spare_blocks, arrays.divisor_blocks, strict=True)
-    for block, spare, divisor in reversed(list(steps)):  # the last are in the cache still
+    for block, spare, divisor in reversed(list(steps)):  # the last are still in the cache
         if not likelihood.logistic:
             torch.addcmul(divisor, block, divisor, value=-1, out=spare)
         block.div_(divisor if likelihood.logistic else spare)
@@ -119,9 +118,9 @@ def _quick(
 
 
 def _energies(coefficients: Tensor, segment: Segment, p: Tensor, lowest: float) -> None:
-    """Negative energies of all instances into p, (N, S), where they may be below ``lowest``, cut off there.
+    """Write the negative energies of all instances into p, (N, S), clamped to at least ``lowest``.
 
-    Below it p or its product with another is subnormal, and arithmetic with those is many times slower.
+    Below it, p or its product with another p is subnormal, and such arithmetic is many times slower.
     """
     k = len(coefficients)
     if p.is_contiguous():
@@ -133,7 +132,7 @@ def _energies(coefficients: Tensor, segment: Segment, p: Tensor, lowest: float) 
 
 
 def _rows(arrays: Arrays) -> None:
-    """Probabilities of a hit and of none in each row, each without cancellation."""
+    """Compute the probabilities of a hit and of no hit in each row, without cancellation."""
     arrays.rows[0] = arrays.p_blocks[0]
     torch.sub(arrays.ends[0], arrays.p_blocks[0], out=arrays.rows[1])
     for rows, p in islice(zip(arrays.rows_blocks, arrays.p_blocks, strict=True), 1, None):
@@ -141,10 +140,10 @@ def _rows(arrays: Arrays) -> None:
 
 
 def _bags_of_rows(arrays: Arrays, segment: Segment, likelihood: Likelihood, smallest: float) -> tuple[Tensor, Tensor]:
-    """The value (S,) and which starts are reliable (S,); in place, what each row's odds are divided by."""
+    """Return the value (S,) and which starts are reliable (S,); write the divisor of each row's odds in place."""
     rows = arrays.rows.contiguous()  # they are gathered one by one
-    # Near a negative instance 1 − p cancels. In single precision a hit is worth some −15 nats instead of −∞, which
-    # refuses it as well and is not worth a second look.
+    # Near a negative instance 1 − p cancels. In single precision a hit costs about 15 nats instead of ∞. This refuses
+    # it just as well, so it need not be computed again.
     near = NEAR_NEGATIVE if rows.dtype == torch.float64 else 0.0
     parts, fine = [], []
     if len(segment.negative_rows):

@@ -1,4 +1,4 @@
-"""Diverse density of states without distances: of their one-hot codes any two are equally far apart."""
+"""Diverse density of states without distances, whose one-hot codes are all equally far apart."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def is_one_hot(features: FloatArray) -> bool:
 def one_hot_log_density(
     points: FloatArray, scale: float, bags: Bags, negative_strength: float, leak: float
 ) -> FloatArray:
-    """`log_diverse_density` of one-hot codes (m, d), without products of features: which state is which is all.
+    """Return `log_diverse_density` of one-hot codes (m, d), without products of features.
 
-    Every other state is at the same distance, where p = exp(−2 s²). So with n instances in a bag, a positive one has
-    probability 1 if the state is in it, else λ + (1 − λ) (1 − (1 − p)ⁿ). −inf where a state is in a negative bag at
+    All other states are at the same distance, where p = exp(−2 s²). So a positive bag with n instances has probability
+    1 if the state is in it, else λ + (1 − λ) (1 − (1 − p)ⁿ). The result is −inf if the state is in a negative bag at
     full strength.
     """
     log_elsewhere = -2.0 * scale**2
@@ -35,7 +35,7 @@ def one_hot_log_density(
     positive, negative = counts[: bags.n_positive] > 0, counts[bags.n_positive :]
     n = lengths[: bags.n_positive]
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Log 1 − (1 − p)ⁿ, which is log n p where p is too small to be told from 0.
+        # log(1 − (1 − p)ⁿ), which is log(n p) if p is too small to be told from 0.
         near = np.log(-np.expm1(n * np.log1p(-elsewhere))) if elsewhere > 1e-300 else np.log(n) + log_elsewhere
         not_in_it = np.logaddexp(np.log(leak), np.log1p(-leak) + near)
         of_positive = np.where(positive, 0.0, not_in_it[:, None])

@@ -29,9 +29,9 @@ class Region:
     Attributes:
         points: Centres, shape (n, d), or (n, k) in the group's own features.
         scale: Factor for every feature before distances are taken, shape (d,) or (k,).
-        radius: In scaled units, ≥ 0.
+        radius: Radius of the balls in scaled units, ≥ 0.
         group: The features that count, if not all do.
-        normal: Of a half-space, (d,): the region is where normal · (feature − point) ≥ 0, of its one point.
+        normal: Normal of a half-space, (d,), where normal · (feature − point) ≥ 0 for the one point.
     """
 
     points: FloatArray
@@ -43,7 +43,7 @@ class Region:
     def contains(self, features: FloatArray) -> BoolArray:
         """Whether min over centres of ‖scale · (feature − centre)‖ ≤ radius, for features (batch, d), shape (batch,).
 
-        With a group only places of the group are in the region.
+        With a group, only places of the group are in the region.
         """
         if self.group is None:
             return self.covers(features)
@@ -51,7 +51,7 @@ class Region:
         return places & self.covers(self.own(features)) if places.any() else places
 
     def covers(self, points: FloatArray) -> BoolArray:
-        """`contains` for places given by the features that count alone, (batch, d) or (batch, k)."""
+        """`contains` for places given only by the features that count, (batch, d) or (batch, k)."""
         if self.normal is not None:
             return np.asarray((points - self.points[0]) @ self.normal >= 0)
         if len(self.points) == 0:
@@ -62,14 +62,14 @@ class Region:
         return nearest <= self.radius
 
     def _covers_one(self, point: list[float]) -> bool:
-        """`covers` for one place: in every step of an agent, where a call of numpy costs more than the arithmetic."""
+        """`covers` for one place, in every step of an agent: a numpy call would cost more than the arithmetic."""
         scaled = tuple(x * factor for x, factor in zip(point, self._factors, strict=True))
         if scaled in self._centres:
             return True
         if len(self.points) > 1:
             return bool((_cdist()(np.array([scaled]), self._scaled) <= self.radius).any())
         (centre,) = self._centres
-        square = 0.0  # term by term, as `cdist` adds them: `math.dist` and `sum` round otherwise
+        square = 0.0  # term by term, as `cdist` adds them: `math.dist` and `sum` round differently
         for x, other in zip(scaled, centre, strict=True):
             square += (x - other) * (x - other)
         return math.sqrt(square) <= self.radius
@@ -87,9 +87,9 @@ class Region:
         return list(np.broadcast_to(self.scale, self.points.shape[1:]).tolist())
 
     def around(self, points: FloatArray) -> Region:
-        """The same region around other points, as when φ has moved."""
+        """Return the same region around other points, as when φ has moved."""
         return replace(self, points=np.unique(points, axis=0))
 
     def own(self, features: FloatArray) -> FloatArray:
-        """The features that count, of all features (batch, d)."""
+        """Return the features that count, from all features (batch, d)."""
         return features if self.group is None else self.group.own(features)

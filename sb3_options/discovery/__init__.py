@@ -1,1 +1,1 @@
-"""From trajectories to subgoals. Pure."""
+"""Finds subgoals in trajectories. Pure."""

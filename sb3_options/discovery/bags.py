@@ -1,4 +1,4 @@
-"""From the trajectories of a database to the bags of one search."""
+"""Makes the bags of one search from the trajectories of a database."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class FilteredBags:
 
     Attributes:
         positive: Instances (n_i, d) of each successful trajectory.
-        negative: Instances of each unsuccessful one.
+        negative: Instances of each unsuccessful trajectory.
     """
 
     positive: list[FloatArray]
@@ -36,22 +36,22 @@ class FilteredBags:
 
     @cached_property
     def n_instances(self) -> int:
-        """In all bags."""
+        """Number of instances in all bags."""
         return sum(map(len, self.positive)) + sum(map(len, self.negative))
 
     @property
     def n_features(self) -> int:
-        """Of an instance, d."""
+        """Number of features of an instance, d."""
         return int(self.positive[0].shape[1])
 
     @cached_property
     def bags(self) -> Bags:
-        """The same, packed when first asked for."""
+        """The same bags, packed on first use."""
         return Bags.pack(self.positive, self.negative)
 
 
 class BagMaker:
-    """Makes bags. All but the `cuts` follows from the database, and is not in a checkpoint."""
+    """Makes bags. A checkpoint holds only the `cuts`; the rest follows from the database."""
 
     STATE = ("cuts",)
 
@@ -59,14 +59,14 @@ class BagMaker:
         self.settings = settings
         self.filters = filters
         self.contrast = contrast
-        self.emptied_by = ""  # the setting of the filter that left too few bags, or of the last one
+        self.emptied_by = ""  # setting of the filter that left too few bags, or of the last filter
         self._passing = PassingShare(settings.subgoal_radius)
         self._known: dict[LabelledTrajectory, Way] = {}
         self._others: list[Region] = []
         self.cuts = LocalCuts() if settings.min_passing > 0.0 and filters.group is None else None
 
     def make(self, database: Iterable[LabelledTrajectory], others: Sequence[Region]) -> FilteredBags | None:
-        """The bags of a database; None if fewer than `min_positive` successful trajectories have an instance."""
+        """Return the bags of a database, None if fewer than `min_positive` successes have an instance."""
         database = list(database)
         positive = [t for t in database if t.success]
         if len(positive) < self.settings.min_positive:
@@ -87,21 +87,21 @@ class BagMaker:
         return FilteredBags(positive_bags, [bag for bag in negative if len(bag)])
 
     def cuts_off(self, instance: FloatArray) -> bool:
-        """Whether an instance (d,) is known to cut off `MIN_CUT`; with less it would be no instance."""
+        """Whether an instance (d,) is known to cut off its surroundings: `make` dropped those below `MIN_CUT`."""
         return self.cuts is not None and bool(self.cuts.are_known(instance[None])[0])
 
     def visited(self, labelled: LabelledTrajectory) -> None:
-        """Add what a trajectory visited to the `cuts`."""
+        """Add the states that a trajectory visited to the `cuts`."""
         if self.cuts is not None:
             self.cuts.add(labelled.features, labelled.trajectory.visits)
 
     def forget_space(self) -> None:
-        """Start again with features of another space."""
+        """Start again in another feature space."""
         self.cuts = None if self.cuts is None else LocalCuts()
         self._known = {}
 
     def _know(self, trajectories: Sequence[LabelledTrajectory], others: Sequence[Region]) -> None:
-        """Make the ways of these trajectories that are new, forget all others, and keep away from other subgoals."""
+        """Make the ways of new trajectories, forget those not given, and mark states far from other subgoals."""
         self._known = {t: self._known.get(t) or self._way(t) for t in trajectories}
         same = len(others) == len(self._others) and all(map(operator.is_, others, self._others))
         self._others = list(others)
@@ -113,14 +113,14 @@ class BagMaker:
         states, visits = self.filters.own(labelled), labelled.trajectory.visits
         scaled = states * self.filters.known_scale
         erase = labelled.success and self.settings.loops == "erase"
-        # Different observations may have the same φ; a way without loops has none twice.
+        # Different observations may share one φ. A loop-erased way has no duplicates.
         rows = loop_erased(scaled, visits, self.settings.subgoal_radius) if erase else first_rows(scaled)
         return Way(labelled, rows, states[rows], scaled[rows], self.filters.allowed(labelled)[rows])
 
     def _standing_out(self, known: Sequence[Way]) -> dict[str, BoolArray]:
-        """Which states each filter leaves, one filter after the other: contrast, or `min_passing` and cuts.
+        """Return which states each filter leaves, in sequence: radii, then contrast, or `min_passing` and cuts.
 
-        All ways at once, way after way: a call for each of a hundred takes longer than what it computes.
+        All ways are concatenated: a hundred small calls would cost more than the arithmetic.
         """
         allowed: BoolArray = np.concatenate([k.allowed for k in known])
         left = {"radii": allowed}

@@ -1,4 +1,4 @@
-"""How much oftener successful trajectories visit a state of a group of features than unsuccessful ones."""
+"""How much more often successes than failures visit a state of a feature group."""
 
 from __future__ import annotations
 
@@ -17,32 +17,31 @@ MIN_CONTRAST = 0.3
 """Least contrast of an instance."""
 
 MAX_START_SHARE = 0.5
-"""A state in which more than this share of the trajectories begin is nothing to reach."""
+"""A state where more than this share of the trajectories begin is no place to reach."""
 
 PAIR_GAIN = 0.1
-"""A state of a group must contrast this much more than the same state in a part of the group."""
+"""A state's contrast in a group must exceed its contrast in any part of the group by this much."""
 
 NO_PLACE = -1.0
-"""Contrast of a state that is no place of the group; no place has less."""
+"""Contrast of a state that is not a place of the group. No place has less."""
 
 ABSENT = -2.0
-"""Contrast of a state that none of the present trajectories visited."""
+"""Contrast of an absent state: none of the current trajectories visited it."""
 
 MAX_FORMER_STATES = 1000
-"""Absent states are forgotten when there are more than this, and more than there are present ones."""
+"""Absent states are forgotten once they outnumber the present ones by more than this."""
 
 
 class Contrast:
-    """Shares of trajectories that visit each state of a group, successful ones minus the others.
+    """For each state of a group, the share of successes that visit it minus the share of failures.
 
-    Diverse density asks whether all successful trajectories have an instance in common, and counts unsuccessful ones
-    weakly. On a few features much is common to all trajectories: a wall ahead, say. What matters for success is visited
-    oftener by those that succeed. A share of n trajectories is taken as (visits + 1) / (n + 2), so that a few of them
-    show little.
+    Diverse density asks whether all successes share an instance, and gives failures little weight. On a few features
+    all trajectories have much in common, such as a wall ahead. Successes visit the states that matter more often.
+    A share of n trajectories is estimated as (visits + 1) / (n + 2), so that a few trajectories show little.
 
-    An unsuccessful trajectory lasts until the time is up, and in so much time it comes nearly everywhere. So a visit at
-    time t counts for as much as the share of the successes that took t steps or more: of what it did, it counts what it
-    did in the time that a success has. Without this, what takes time to reach stands out too little (a key, say).
+    A failure lasts until the time limit, long enough to visit nearly every state. So its visit at time t is weighted
+    by the share of successes that took t steps or more. This compares failures and successes over equal time. Without
+    it, states that take time to reach (a key, say) would stand out too little.
     """
 
     def __init__(self, group: FeatureGroup, radius: float, parts: Sequence[Contrast] = ()) -> None:
@@ -53,13 +52,13 @@ class Contrast:
 
     def _forget(self) -> None:
         self._numbers: dict[bytes, int] = {}
-        self._values: FloatArray = np.full(1, NO_PLACE)  # by number; the last is that of number -1, which is no place
+        self._values: FloatArray = np.full(1, NO_PLACE)  # by number; the last entry is for number -1: no place
         self._visits: dict[LabelledTrajectory, _Visits] = {}
 
     def update(self, trajectories: Sequence[LabelledTrajectory]) -> None:
-        """Count the visits of these trajectories, and of no others."""
+        """Count the visits of these trajectories only."""
         if len(self._numbers) > MAX_FORMER_STATES + 2 * self.n_states:
-            self._forget()  # most are of trajectories that are gone
+            self._forget()  # most belong to trajectories that are gone
         if new := list(filterfalse(self._visits.__contains__, trajectories)):
             self._visits |= zip(new, _visits_of(new, self.group, self._numbers), strict=True)
         visits = list(map(self._visits.__getitem__, trajectories))
@@ -76,7 +75,7 @@ class Contrast:
             late = np.searchsorted(lasted, np.arange(times.max(initial=0) + 1)) / len(lasted)
             weights = np.where(success[of_whom], 1.0, 1.0 - late[times])
         began = np.flatnonzero(first >= 0)
-        present = np.bincount(states) > 0  # up to the highest number that is present
+        present = np.bincount(states) > 0  # up to the highest present number
         near = self._neighbours(present)
         reached = _reached(states, of_whom, weights, success, near)
         begun = _reached(first[began], began, np.ones(len(began)), success, near)
@@ -87,7 +86,7 @@ class Contrast:
         self._values = np.append(values, NO_PLACE)
 
     def _neighbours(self, present: BoolArray) -> list[IntArray]:
-        """For each state the numbers of all within the radius, itself among them; of a state that is absent none."""
+        """Return for each state the numbers of all states within the radius, itself included; none if absent."""
         near: list[IntArray] = [np.zeros(0, dtype=np.int64)] * len(present)
         numbers = np.flatnonzero(present)
         if len(numbers):
@@ -99,20 +98,20 @@ class Contrast:
 
     @property
     def n_states(self) -> int:
-        """Distinct states of the group in the trajectories."""
+        """Number of distinct states of the group in the trajectories."""
         return int((self._values > ABSENT).sum()) - 1
 
     def largest(self) -> float:
-        """Of all states; `NO_PLACE` where there is none."""
+        """Return the largest contrast of all states, `NO_PLACE` without any."""
         return float(self._values.max())
 
     def of_visited(self, labelled: LabelledTrajectory) -> FloatArray:
-        """The contrast of the states of a trajectory, (m,), which is one of the updated."""
+        """Return the contrast of the states, (m,), of a trajectory in the last update."""
         values: FloatArray = self._values[self._visits[labelled].numbers]
         return values
 
     def stands_out(self, labelled: LabelledTrajectory) -> BoolArray:
-        """Which states of a trajectory have `MIN_CONTRAST`, and more contrast than in a part of the group, (m,)."""
+        """Which states, (m,), have `MIN_CONTRAST`, and `PAIR_GAIN` more than in each part of the group."""
         values = self.of_visited(labelled)
         enough: BoolArray = values >= MIN_CONTRAST
         for part in self.parts if enough.any() else ():
@@ -123,9 +122,9 @@ class Contrast:
 def _reached(
     states: IntArray, of_whom: IntArray, weights: FloatArray, success: BoolArray, near: Sequence[IntArray]
 ) -> FloatArray:
-    """How many trajectories visited each state, the others and those that succeeded, (2, n).
+    """Count the failures and the successes that visited each state, (2, n).
 
-    Of the visits of a trajectory to the state and those near it, the one of most weight counts.
+    A trajectory counts once per state, by its visit of most weight to the state or a neighbour.
     """
     cells = states + len(near) * success[of_whom]
     totals: FloatArray = np.bincount(cells, weights, 2 * len(near)).astype(np.float64).reshape(2, -1)
@@ -142,13 +141,13 @@ def _reached(
 
 
 class _Visits(NamedTuple):
-    """What a trajectory visited.
+    """The visits of a trajectory.
 
     Attributes:
-        numbers: Of each of its states, (m,); -1 for what is no place.
-        first: That of the first one.
-        places: The distinct numbers of places, and when it first came to each of these, (k, 2).
-        duration: Of the trajectory, in steps.
+        numbers: Number of each state, (m,); -1 if it is not a place.
+        first: Number of the first state.
+        places: Distinct numbers of places, and the time of the first visit to each, (k, 2).
+        duration: Length of the trajectory, in steps.
         success: Whether it succeeded.
     """
 
@@ -162,7 +161,7 @@ class _Visits(NamedTuple):
 def _visits_of(
     trajectories: Sequence[LabelledTrajectory], group: FeatureGroup, numbers: dict[bytes, int]
 ) -> Iterator[_Visits]:
-    """What each trajectory visited, all at once: a search after a pause has a thousand new ones."""
+    """Return the visits of each trajectory, in one pass: after a pause there may be a thousand new ones."""
     features = np.concatenate([t.features for t in trajectories])
     came = np.concatenate([t.trajectory.arrivals for t in trajectories])
     ends = np.cumsum([len(t.features) for t in trajectories]).tolist()
@@ -172,7 +171,7 @@ def _visits_of(
     every = np.full(len(features), -1)
     every[places] = [numbers.setdefault(key, len(numbers)) for key in keys]
     of_whom = np.searchsorted(ends, places, side="right")
-    pairs, first = np.unique(of_whom * len(numbers) + every[places], return_index=True)  # states are in order of time
+    pairs, first = np.unique(of_whom * len(numbers) + every[places], return_index=True)  # states are in time order
     whose, states = np.divmod(pairs, len(numbers))
     visited = np.stack([states, came[places[first]]], axis=1)
     bounds = np.searchsorted(whose, np.arange(len(ends) + 1)).tolist()

@@ -1,4 +1,4 @@
-"""The diary of discovery: counts of trajectories, cost of searches, and why nothing was found."""
+"""The diary of discovery: trajectory counts, search costs, and reasons why nothing was found."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
 logger = logging.getLogger("sb3_options")
 
 SILENT_TRAJECTORIES = 20
-"""Trajectories without a success after which a warning is logged."""
+"""A warning is logged after this many trajectories without a success."""
 
 
 @dataclass
 class Diary:
-    """Counts of trajectories and of nominal seconds, and the reasons why discovery found nothing.
+    """Counts trajectories and nominal seconds, and explains why discovery found nothing.
 
     Attributes:
-        unit: What a trajectory is: an ``episode``, or a ``segment`` of a continuing task.
+        unit: Kind of trajectory: an ``episode``, or a ``segment`` of a continuing task.
         max_share: Largest share of training time for discovery; None for any.
-        step_seconds: Nominal seconds of training for a primitive step.
+        step_seconds: Nominal training seconds of a primitive step.
         n: Trajectories seen.
         spent: Nominal seconds of discovery.
-        skipped: Searches that were not made, because the budget was spent.
+        skipped: Searches skipped because the budget was spent.
         seconds: Measured processor seconds of discovery. No decision depends on them.
-        reported: Whether the environment says itself what succeeds, with ``info["is_success"]``.
+        reported: Whether the environment reports success itself, in ``info["is_success"]``.
         n_withdrawn: Subgoals for which no option could be learned.
     """
 
@@ -55,7 +55,7 @@ class Diary:
     without_option: set[str] = field(default_factory=set)
 
     def add(self, trajectory: Trajectory, *, success: bool) -> None:
-        """Count a trajectory, and warn once if none of the first ones succeeded."""
+        """Count a trajectory. Warn once if none of the first `SILENT_TRAJECTORIES` succeeded."""
         self.n += 1
         self.successes += success
         self.terminated += trajectory.terminated
@@ -68,7 +68,7 @@ class Diary:
             logger.warning("Discovery waits for a success: there was none in the first %d %ss.", self.n, self.unit)
 
     def affords(self) -> bool:
-        """Whether the budget allows another search. A search that cost too much is paid off before the next one."""
+        """Whether the budget allows another search. An expensive search delays the next one."""
         shortest = TABLE_SHORTEST if self.step_seconds == TABLE_STEP_SECONDS else SHORTEST
         if self.max_share is None or self.spent <= self.max_share * self.step_seconds * max(shortest, self.steps):
             return True
@@ -76,7 +76,7 @@ class Diary:
         return False
 
     def unusable(self, episode: int, error: Exception) -> None:
-        """Count an episode that cannot be used, and warn of the first, the second, the fourth and so on."""
+        """Count an unusable episode. Warn of the first, the second, the fourth and so on."""
         self.n_unusable += 1
         self.last_error = f"{type(error).__name__}: {error}"
         if self.n_unusable & (self.n_unusable - 1) == 0:
@@ -84,13 +84,13 @@ class Diary:
             logger.warning("No discovery after episode %d%s: %s", episode, times, error)
 
     def no_option(self, where: str) -> None:
-        """Warn once for each subgoal that no option could be learned."""
+        """Warn, once per subgoal, that no option could be learned."""
         if where not in self.without_option:
             self.without_option.add(where)
             logger.warning("No option for %s: no saved trajectory leads to it reliably enough.", where)
 
     def why_nothing(self, method: Method, n_found: int, n_episodes: int) -> str:
-        """Why there is no option, in a sentence; the number of subgoals where there are some."""
+        """Say why there is no option; if there are some, say how many subgoals have one."""
         if n_found:
             return f"Subgoals discovered that have an option: {n_found}."
         unusable = (

@@ -28,17 +28,17 @@ from sb3_options.state import storable
 logger = logging.getLogger("sb3_options")
 
 MAX_BYTES = 1 << 30
-"""Memory that the trajectories of a database may take; with large observations fewer than `capacity` are kept."""
+"""Memory limit of a database. With large observations it keeps fewer than `capacity` trajectories."""
 
 
 @storable
 class FoundSubgoal(NamedTuple):
-    """A subgoal.
+    """A discovered subgoal.
 
     Attributes:
-        subgoal: In concept space.
-        log_density: Best log diverse density of the search that completed it; NaN where another method found it.
-        observation: The nearest observation, a batch of one; None where it is on a group of features, or no place.
+        subgoal: Its region in concept space.
+        log_density: Best log diverse density of the search that completed it; NaN if another method found it.
+        observation: The nearest observation, a batch of one; None for a feature group, or without a place.
     """
 
     subgoal: Region
@@ -47,36 +47,36 @@ class FoundSubgoal(NamedTuple):
 
     @property
     def centre(self) -> FloatArray:
-        """The middle of the subgoal in its own features, (d,)."""
+        """The centre of the subgoal in its own features, (d,)."""
         return np.asarray(self.subgoal.points[0])
 
     def where(self, kind: str | None) -> str:
-        """The subgoal for people; ``kind`` says where φ comes from."""
+        """Describe the subgoal for people; ``kind`` says where φ comes from."""
         return described(self.centre, kind, self.subgoal.group)
 
 
 class Discovery:
     """Finds subgoals in a database of trajectories, by one method.
 
-    Filters, spacing and budget are the same for all methods, and `diary` says why nothing was found.
+    All methods share the filters, the spacing and the budget. The `diary` says why nothing was found.
 
     Args:
-        settings: How.
-        method: That proposes subgoals; by default the one that the settings name.
-        success: Which trajectories succeed; by default what the environment reports.
-        static_filter: What may be a subgoal; by default not near start and goal.
+        settings: Settings of discovery.
+        method: Method that proposes subgoals; by default the one named in the settings.
+        success: Rule that decides which trajectories succeed; by default the environment reports it.
+        static_filter: Which states may be subgoals; by default those far from start and goal.
         kind: Where φ comes from, for `default_scale`.
-        groups: Of features; empty where all count together.
-        taken: Subgoals that have an option already, besides those `found`.
-        seed: Of a method that draws at random.
+        groups: Groups of features; empty if all features count together.
+        taken: Subgoals that already have an option, besides those `found`.
+        seed: Seed of a method that draws at random.
 
     Attributes:
         database: The last trajectories.
-        found: Subgoals that were found and not withdrawn, oldest first.
+        found: Subgoals found and not withdrawn, oldest first.
 
     Raises:
-        TypeError: ``method`` is none.
-        ValueError: A method that needs all features together is to work on groups.
+        TypeError: ``method`` is not a discovery method.
+        ValueError: The method needs all features together, but there are groups.
     """
 
     STATE = ("database", "filters", "diary", "method", "found", "_n_new", "_proposals", "_withdrawn", "taken")
@@ -114,35 +114,35 @@ class Discovery:
             needs_success=self.method.needs_success and not (self.groups and s.salient_share),
         )
         self.found: list[FoundSubgoal] = []
-        self._n_new = 0  # trajectories that a method has not seen that takes note of each
+        self._n_new = 0  # trajectories not yet shown to a method that notes each one
         self._proposals: list[Region] = []
-        self._withdrawn: list[tuple[Region, int]] = []  # and after how many trajectories
+        self._withdrawn: list[tuple[Region, int]] = []  # with the number of trajectories by then
 
     @property
     def scale(self) -> FloatArray | None:
-        """Factor for every feature, (d,); None before the first search, and where every group has its own."""
+        """Factor for every feature, (d,); None before the first search, or if each group has its own."""
         return self.filters.scale
 
     @property
     def kind(self) -> str | None:
-        """Where φ comes from; experience may show that states have no distances, as ``categorical``."""
+        """Where φ comes from; ``categorical`` once experience shows one-hot codes, which have no distances."""
         return self.filters.kind
 
     def add(self, trajectory: Trajectory, features: FloatArray, *, success: bool | None = None) -> LabelledTrajectory:
-        """Put a trajectory into the database.
+        """Add a trajectory to the database.
 
         Args:
             trajectory: One episode.
             features: φ of its distinct observations, shape (m, d).
-            success: Its label; by default what the rule of success says.
+            success: Its label; by default the success rule decides.
 
         Returns:
-            The trajectory with its label.
+            The labelled trajectory.
 
         Raises:
-            ValueError: ``features`` does not fit the trajectory, or is not finite.
+            ValueError: ``features`` do not fit the trajectory; features or rewards are not finite.
         """
-        features = np.require(features, np.float64, "O")  # a view would keep alive what it is a view of
+        features = np.require(features, np.float64, "O")  # a view would keep its base alive
         n_states = batch_size(trajectory.states)
         if features.ndim != 2 or len(features) != n_states:
             raise ValueError(
@@ -163,10 +163,10 @@ class Discovery:
         return labelled
 
     def search(self) -> Region | None:
-        """Let the method propose, if enough is new and the budget affords it, and take a proposal.
+        """Let the method propose, if it is due and the budget affords it, and take a proposal.
 
         Returns:
-            A new subgoal, which counts as taken from then on.
+            A new subgoal, which counts as taken from now on; None if there is none.
         """
         if not (len(self.database) and self.method.is_due(self.database)):
             return None
@@ -174,9 +174,9 @@ class Discovery:
         if not (self.method.searches or self._knows_scale()):
             return None
         if not affords:
-            self._n_new = 0  # the method never gets what the budget does not afford
+            self._n_new = 0  # the method never sees trajectories that the budget does not afford
             return None
-        began = time.process_time()  # it takes longer than to see that there is nothing to do
+        began = time.process_time()  # only here: this call costs more than finding nothing to do
         subgoal = self._search()
         self.diary.seconds += time.process_time() - began
         return subgoal
@@ -189,7 +189,7 @@ class Discovery:
         self._n_new = min(self._n_new, len(self.database))
         while self._n_new:
             experience = self.experience([*self.database][-self._n_new])
-            self._n_new -= 1  # what a method fails at does not come again
+            self._n_new -= 1  # a trajectory that the method fails on does not come again
             proposals = [*self._updated(experience), *proposals]
             n_steps, n_numbers = len(experience.visits) - 1, experience.features.size
             self.diary.spent += nominal_seconds(telling=1, step=n_steps, feature=n_numbers)
@@ -208,21 +208,21 @@ class Discovery:
             apart = self.method.searches or self.filters.is_apart(goal, known, self.database)
             if apart and not self._waits(goal):
                 self._proposals = []
-                # Where φ is learned there are no groups, whose points have features of their own.
+                # A learned φ moves subgoals by their observation, and has no groups, whose points have own features.
                 observation = None if goal.group is not None else nearest_observations(goal.points[:1], self.database)
                 self.found.append(FoundSubgoal(goal, self.method.accept(goal), observation))
                 return goal
         return None
 
     def withdraw(self) -> None:
-        """Note that no option can be learned for the last subgoal; later it may be proposed again."""
+        """Withdraw the last subgoal, for which no option can be learned. It may be proposed again later."""
         self.diary.n_withdrawn += 1
         goal = self.found.pop().subgoal
         self._withdrawn = [each for each in self._withdrawn if not np.array_equal(each[0].points, goal.points)]
         self._withdrawn.append((goal, self.diary.n))
 
     def experience(self, labelled: LabelledTrajectory) -> Experience:
-        """What the method gets of a trajectory."""
+        """Return a trajectory as the method sees it."""
         taken = [*self.taken, *(found.subgoal for found in self.found)]
         avoided = [*taken, *(self._waiting() if self.method.searches else ())]
         scale = self.filters.scale
@@ -237,13 +237,13 @@ class Discovery:
         )
 
     def _knows_scale(self) -> bool:
-        """Whether the scale is known; where the range of features sets it, as many trajectories as a search needs."""
+        """Whether the scale is known. Setting it from feature ranges takes `min_positive` trajectories."""
         if self.kind != "identity" or self.diary.n >= self.settings.min_positive:
             self.filters.find_scale(self.database)
         return self.scale is not None
 
     def _waiting(self) -> list[Region]:
-        """Withdrawn subgoals that may not come again yet."""
+        """Return the withdrawn subgoals that may not come again yet."""
         return [region for region, at in self._withdrawn if self.diary.n < self.method.again_after * at]
 
     def _waits(self, goal: Region) -> bool:
@@ -251,14 +251,14 @@ class Discovery:
         return any(region.covers(goal.points[:1]).any() for region in same_space)
 
     def why_nothing(self, n_episodes: int | None = None) -> str:
-        """Why there is no option, in a sentence; the number of subgoals where there are some.
+        """Say why there is no option; if there are some, say how many subgoals have one.
 
-        ``n_episodes`` counts trajectories that could not be used, too; by default all could.
+        ``n_episodes`` includes unusable trajectories; by default all were usable.
         """
         return self.diary.why_nothing(self.method, len(self.found), self.diary.n if n_episodes is None else n_episodes)
 
     def learn_if_due(self, learner: FeatureLearner) -> bool:
-        """Learn on the feature map of all features, if it is due; whether it has changed."""
+        """Train the feature map further if it is due. Return whether it has changed."""
         n, n_steps = self.diary.n, self.diary.steps
         due = not learner.map.fixed and learner.is_due(n, n_steps)
         changed = due and learner.learn([labelled.trajectory for labelled in self.database], n, n_steps)
@@ -267,10 +267,10 @@ class Discovery:
         return changed
 
     def embed_again(self, feature_map: FeatureMap) -> None:
-        """Go on in the space of another feature map, which must make as many features.
+        """Continue in the space of another feature map, with the same number of features.
 
-        Subgoals stay at the observations where they were found, running averages at those nearest to their peaks. What
-        was searched before is forgotten, for its distances are others.
+        Subgoals stay at their observations, running averages at the observations nearest to their peaks. Earlier
+        searches are forgotten, because distances have changed.
         """
         points = self.method.remembered()
         places = feature_map(nearest_observations(points, self.database)) if len(points) else points
@@ -282,7 +282,7 @@ class Discovery:
 
 
 def nearest_observations(points: FloatArray, trajectories: Iterable[LabelledTrajectory]) -> Observations:
-    """The observations whose features are nearest to some points of concept space, one each."""
+    """Return for each point of concept space the observation with the nearest features."""
     least = np.full(len(points), np.inf)
     nearest: list[Observations | None] = [None] * len(points)
     for labelled in trajectories:

@@ -1,4 +1,4 @@
-"""The picture of discovery: where diverse density is high, and what the options made of it do."""
+"""Figures of discovery: where diverse density is high, and where the options lead."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 
 PANEL_WIDTH = 6.4
-"""Of a panel, in inches."""
+"""Width of a panel, in inches."""
 
 HEIGHTS = (3.4, 6.0)
-"""Lowest and highest panel, in inches; between them a panel has the shape of its map."""
+"""Lowest and highest panel height, in inches. Between them a panel has the shape of its map."""
 
 MARGIN = 0.75
 """Free space around the outermost centres, in sides of a square."""
@@ -31,10 +31,10 @@ TEXT_WIDTH = 80
 """Characters of a line of text."""
 
 WORST_SHOWN = 60.0
-"""Log densities this far below the best share the darkest colour, in nats, unless too few are above that."""
+"""Log densities this far below the best, in nats, share the darkest colour, unless too few lie above."""
 
 SHARE_SHOWN = 0.25
-"""Share of the states that have a brighter colour: without a leak all but the best are hundreds of nats below it."""
+"""Minimum share of states with a brighter colour: without a leak most lie hundreds of nats below the best."""
 
 START: dict[str, Any] = {"marker": "o", "markersize": 4, "color": "white", "markeredgecolor": "black"}
 GOAL: dict[str, Any] = {"marker": "D", "markersize": 8, "color": "white", "markeredgecolor": "black"}
@@ -44,9 +44,9 @@ GROUND: dict[str, Any] = {"facecolor": "0.93", "edgecolor": "white"}
 
 
 def subgoals_figure(discovery: Discovery, bank: OptionBank, text: str | None = None) -> Figure:
-    """`map_figure`, or a text where there is no map: for a run folder.
+    """Draw `map_figure` for a run folder, or a text if there is no map.
 
-    ``text`` is said above the panels; by default why nothing was found, where that is so.
+    ``text`` stands above the panels; by default it says why nothing was found, if so.
     """
     if text is None and not discovery.found:
         text = discovery.why_nothing()
@@ -66,10 +66,10 @@ def subgoals_figure(discovery: Discovery, bank: OptionBank, text: str | None = N
 
 
 def map_figure(discovery: Discovery, bank: OptionBank) -> Figure | None:
-    """Maps of the first two features of everything seen.
+    """Draw maps of the first two features of all states seen.
 
-    They show diverse density, where that is the method, successful trajectories, and initiation sets and policies of
-    options. None before any search, and where states are numbered, have one feature, or groups of features.
+    They show diverse density (if that is the method), successful trajectories, and initiation sets and policies of
+    options. None before any search, and for states with one-hot codes, one feature, or feature groups.
     """
     runs = list(discovery.database)
     if not runs or discovery.scale is None or len(discovery.scale) < 2 or discovery.kind == "categorical":
@@ -118,7 +118,7 @@ def map_figure(discovery: Discovery, bank: OptionBank) -> Figure | None:
 
 
 class _Map:
-    """The first two features of everything seen: squares as wide as neighbours are apart, and one unit at least."""
+    """A map of the first two features: one square per state, as wide as neighbours are apart, at least one unit."""
 
     def __init__(self, seen: FloatArray, scale: FloatArray, names: Sequence[str]) -> None:
         self.names = names
@@ -153,7 +153,7 @@ class _Map:
         axes.quiver(*(starts - unit / 2).T, *unit.T, zorder=3, **style)  # above the marks
 
     def finish(self, axes: Axes) -> None:
-        """Limits and names of the axes."""
+        """Set the limits and names of the axes."""
         low, high = self.positions.min(axis=0) - MARGIN * self.side, self.positions.max(axis=0) + MARGIN * self.side
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(high[1], low[1])  # rows are counted downwards, as in the map
@@ -165,7 +165,7 @@ class _Map:
 
 
 def _axis_names(discovery: Discovery, n: int) -> list[str]:
-    """Names of the first two of n features: keys of observations, coordinates, or else their numbers."""
+    """Return the names of the first two of n features: observation keys, coordinates, or numbers."""
     states = next(iter(discovery.database)).trajectory.states
     if discovery.kind == "identity" and isinstance(states, Mapping):
         sizes = {key: flatten(states[key]).shape[1] for key in sorted(states)}
@@ -176,7 +176,7 @@ def _axis_names(discovery: Discovery, n: int) -> list[str]:
 
 
 def _moves(discovery: Discovery, options: list[SubgoalOption]) -> tuple[FloatArray, FloatArray]:
-    """Places of the initiation sets, and where greedy actions led from there on average, (n, 2) each."""
+    """Return the places of the initiation sets and the mean move of greedy actions from each, (n, 2) each."""
     began, led = [np.zeros((0, 2))], [np.zeros((0, 2))]
     for option in options:
         for labelled in discovery.database:

@@ -1,4 +1,4 @@
-"""Which states may be subgoals: those that the static filter leaves, and that are far from all other subgoals."""
+"""Which states may be subgoals: those that pass the static filter and are far from all other subgoals."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from sb3_options.state import TRANSIENT
 
 @dataclass(eq=False)
 class Way:
-    """States of a trajectory in order: those that it led through, or all that it visited.
+    """States of a trajectory in order: its loop-erased path, or all visited states.
 
-    Each is in it once: a state that is visited often would count often in the noisy-or (McGovern & Barto 2001, §3).
+    Each state occurs once: repeated states would count repeatedly in the noisy-or (McGovern & Barto 2001, §3).
 
     Attributes:
         labelled: The trajectory.
         rows: Rows of its features, (k,).
-        states: Those features, or those of a group, (k, d).
+        states: The features of these rows, or a group's own features, (k, d).
         scaled: The same in scaled units.
-        allowed: Which of them the static filter leaves, (k,).
-        far: Which are far from all other subgoals, (k,); empty before that is asked for.
+        allowed: Which states pass the static filter, (k,).
+        far: Which states are far from all other subgoals, (k,); empty until computed.
     """
 
     labelled: LabelledTrajectory
@@ -52,7 +52,7 @@ class Filters:
     scale: FloatArray | None = None
 
     def find_scale(self, database: Iterable[LabelledTrajectory]) -> FloatArray:
-        """The scale, which all trajectories of the database set when it is first asked for."""
+        """Return the scale. The first call sets it, from all trajectories of the database."""
         given = self.settings.scale
         if self.scale is None and self.group is not None:
             self.scale = np.asarray(self.group.scale) * (given or 1.0)
@@ -65,7 +65,7 @@ class Filters:
 
     @property
     def known_scale(self) -> FloatArray:
-        """The scale, once it was found."""
+        """The scale, once it is found."""
         assert self.scale is not None  # `find_scale` is called before any search
         return self.scale
 
@@ -75,11 +75,11 @@ class Filters:
         return self.kind == "categorical" and self.static_filter is None and self.group is None
 
     def own(self, labelled: LabelledTrajectory) -> FloatArray:
-        """The features of a trajectory that count, (m, d)."""
+        """Return the features of a trajectory that count, (m, d)."""
         return labelled.features if self.group is None else self.group.own(labelled.features)
 
     def allowed(self, labelled: LabelledTrajectory) -> BoolArray:
-        """Which states of a trajectory the static filter leaves, (m,)."""
+        """Which states of a trajectory pass the static filter, (m,)."""
         s = self.settings
         visits = labelled.trajectory.visits
         if self.counts_steps:
@@ -94,12 +94,12 @@ class Filters:
         return allowed if self.group is None else allowed & self.group.is_place(labelled.features)
 
     def may_be_subgoals(self, labelled: LabelledTrajectory, others: Sequence[Region]) -> BoolArray:
-        """Which states of a trajectory the static filter leaves far from other subgoals, (m,)."""
+        """Which states pass the static filter and are far from other subgoals, (m,)."""
         way = self._whole(labelled)
         return way.allowed & self.far_from(way, others)
 
     def _whole(self, labelled: LabelledTrajectory) -> Way:
-        """All states of a trajectory."""
+        """Return all states of a trajectory as a way."""
         states = self.own(labelled)
         return Way(labelled, np.arange(len(states)), states, states * self.known_scale, self.allowed(labelled))
 
@@ -116,9 +116,9 @@ class Filters:
         return far
 
     def is_apart(self, goal: Region, others: Sequence[Region], database: Iterable[LabelledTrajectory]) -> bool:
-        """Whether a subgoal is farther than `spacing` from all others; one without a place always is.
+        """Whether a subgoal is farther than `spacing` from all others; always for one without a place.
 
-        Where states have no distances, steps count along the last trajectory that came to the subgoal.
+        If states have no distances, steps are counted along the last trajectory that reached the subgoal.
         """
         spacing = self.settings.spacing
         if not self.counts_steps:

@@ -8,31 +8,31 @@ from sb3_options.density.arrays import row_keys, short_key
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 STEPS = 3
-"""The surroundings of a state are what lies within so many steps of it."""
+"""The surroundings of a state are the states within this many steps."""
 
 MAX_STATES = 10_000
-"""As many are in the graph; of states that come later nothing is known."""
+"""Maximum number of states in the graph. Later states stay unknown."""
 
 MIN_CUT = 0.1
-"""Least share of its surroundings that an instance cuts off: a doorway a third or more, a piece of floor nothing."""
+"""Minimum share of its surroundings that an instance cuts off. A doorway cuts off a third or more, open floor none."""
 
 UNKNOWN = 0.5
-"""The share of a state of which nothing is known: as far as anybody knows it parts its surroundings in two."""
+"""Share of an unknown state: it is assumed to split its surroundings in two."""
 
 
 class LocalCuts:
-    """What share of its surroundings a state cuts off from the rest.
+    """Computes the share of its surroundings that each state cuts off from the rest.
 
-    Where an agent has learned a way, its successes share that way from end to end: the floor before a doorway lies on
-    as many of them as the doorway itself. What tells the two apart is what else was visited around them, in success or
-    failure. Without the doorway, the states around it fall apart; around a piece of floor other steps lead on. Such a
-    state is a cut vertex of the graph of its surroundings, the graph that Şimşek & Barto (2008) rank by betweenness.
+    Once an agent has learned a path, its successes share that path from end to end. The floor before a doorway then
+    lies on as many of them as the doorway. All visits nearby, in success or failure, tell the two apart. Without the
+    doorway its surroundings fall apart; around a piece of floor other steps lead on. A doorway is thus a cut vertex of
+    the graph of its surroundings. Şimşek & Barto (2008) rank this graph by betweenness.
 
-    Two states are joined if a step led from one to the other, in either direction. A state that only one trajectory
-    visited counts as a cut, so that nothing is said where no state is visited twice, as in continuous spaces.
+    Two states are joined if a step led from one to the other, in either direction. A state visited by only one
+    trajectory counts as a cut. So the filter has no effect where no state repeats, as in continuous spaces.
 
     Attributes:
-        n_computed: Shares that were computed; the others were known.
+        n_computed: Number of shares computed rather than looked up.
     """
 
     STATE = ("n_computed", "_number", "_neighbours", "_n_trajectories", "_shares")
@@ -41,16 +41,16 @@ class LocalCuts:
         self.n_computed = 0
         self._number: dict[bytes, int] = {}
         self._neighbours: list[set[int]] = []
-        # By number, and at last for states that have none.
+        # By number; the last entry is for states without a number.
         self._n_trajectories: IntArray = np.zeros(MAX_STATES + 1, dtype=np.int64)
-        self._shares: FloatArray = np.full(MAX_STATES + 1, np.nan)  # NaN where it has to be computed
+        self._shares: FloatArray = np.full(MAX_STATES + 1, np.nan)  # NaN if it must be computed
         self._shares[-1] = UNKNOWN
 
     def add(self, features: FloatArray, visits: IntArray) -> None:
         """Add the steps of a trajectory."""
         known = self._number
         numbers = np.array([known[key] if key in known else self._numbered(key) for key in keys_of(features)])
-        self._n_trajectories[numbers] += 1  # by one, however often a number is among these
+        self._n_trajectories[numbers] += 1  # by one, even if a number occurs repeatedly
         way = numbers[visits]
         steps = set(zip(way[:-1].tolist(), way[1:].tolist(), strict=True))
         near = self._neighbours
@@ -62,17 +62,17 @@ class LocalCuts:
             self._shares[list(self._around({number for step in new for number in step}))] = np.nan
 
     def _numbers(self, features: FloatArray) -> IntArray:
-        """The numbers of some states, (n,); −1 for those that have none."""
+        """Return the numbers of states, (n,); −1 for a state without one."""
         return np.array([self._number.get(key, -1) for key in keys_of(features)], dtype=np.int64)
 
     def are_known(self, features: FloatArray) -> BoolArray:
-        """Whether more than one trajectory visited each of some states (n, d), so that its share says something."""
+        """Whether more than one trajectory visited each state (n, d): only then its share has meaning."""
         numbers = self._numbers(features)
         known: BoolArray = (numbers >= 0) & (self._n_trajectories[numbers] > 1)
         return known
 
     def shares(self, features: FloatArray) -> FloatArray:
-        """What share of its surroundings each of some states (n, d) cuts off from their largest part, in [0, 0.5]."""
+        """Return the share of its surroundings that each state (n, d) cuts off from the largest part, in [0, 0.5]."""
         numbers = self._numbers(features)
         once = self._n_trajectories[numbers] == 1
         for number in set(numbers[np.isnan(self._shares[numbers]) & ~once].tolist()):
@@ -80,7 +80,7 @@ class LocalCuts:
         return np.where(once, UNKNOWN, self._shares[numbers])
 
     def _numbered(self, key: bytes) -> int:
-        """The number of a new state, −1 if there is no room."""
+        """Number a new state; return −1 if there is no room."""
         if len(self._number) >= MAX_STATES:
             return -1
         self._neighbours.append(set())
@@ -112,5 +112,5 @@ class LocalCuts:
 
 
 def keys_of(features: FloatArray) -> list[bytes]:
-    """A key for each state (n, d), which equal ones share."""
+    """Return a key for each state (n, d); equal states share a key."""
     return list(map(short_key, row_keys(features)))

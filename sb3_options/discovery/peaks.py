@@ -1,4 +1,4 @@
-"""Which peaks of diverse density appear early and persist: running averages (McGovern & Barto 2001, §5)."""
+"""Running averages find peaks of diverse density that appear early and persist (McGovern & Barto 2001, §5)."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from sb3_options.experience.observations import FloatArray
 from sb3_options.state import storable
 
 PEAK_RADIUS = 1.5
-"""Peaks within this distance, in scaled units, touch; and a peak belongs to the nearest concept within it."""
+"""Peaks within this distance, in scaled units, touch. A peak belongs to the nearest concept within it."""
 
 MOST_TIED = 1000
-"""Peaks that tie, or places that were visited equally often, are no subgoals if they are more than this."""
+"""More tied peaks, or equally often visited places, than this are no subgoals."""
 
 
 def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> FloatArray:
-    """Peaks that tie and touch are one plateau; the middle of each plateau.
+    """Join tied peaks that touch into plateaus, and return the centre of each plateau.
 
-    In two rooms every crossing visits the doorway and both its neighbours, so that the three tie exactly: the middle
-    of them is the doorway, any other choice is an accident.
+    In two rooms every crossing visits the doorway and both its neighbours, so the three tie exactly. The one in the
+    middle is the doorway.
     """
     distances = cdist(points * scale, points * scale)
     n_plateaus, plateau = connected_components(distances <= radius, directed=False)
@@ -36,7 +36,7 @@ class TrackedConcept:
     """A concept that was a peak at least once.
 
     Attributes:
-        point: Where it was last found, shape (d,).
+        point: Where the concept was last found, shape (d,).
         average: c̄, in [0, λ/(1−λ)).
         found: Whether the last search found it.
     """
@@ -49,15 +49,15 @@ class TrackedConcept:
 class PeakTracker:
     """Running averages c̄ of how often each concept is a peak.
 
-    After every search c̄ ← λ(c̄ + 1) for a concept found this time and c̄ ← λ c̄ for the others, so that c̄ of a
-    concept found every time rises to λ/(1−λ). In a continuous space two searches never find the very same point: a
-    peak belongs to the nearest known concept within ``radius``.
+    After every search c̄ ← λ(c̄ + 1) for a concept that it found, and c̄ ← λ c̄ for the others. So c̄ of a concept
+    found every time rises to λ/(1−λ). In a continuous space no point is found twice. So a peak belongs to the nearest
+    known concept within ``radius``.
     """
 
     STATE = ("concepts",)
 
     FORGOTTEN = 1e-3
-    """A concept whose average has decayed below this is dropped, so that the list stays short."""
+    """A concept is dropped once its average decays below this, to keep the list short."""
 
     def __init__(self, *, decay: float = 0.9, radius: float = 1.0) -> None:
         self.decay = decay
@@ -86,11 +86,11 @@ class PeakTracker:
         self.concepts = [c for c in self.concepts if c.found or c.average > self.FORGOTTEN]
 
     def leading_average(self) -> float:
-        """The largest average; 0 before the first peak."""
+        """Return the largest average, 0 before the first peak."""
         return max((concept.average for concept in self.concepts), default=0.0)
 
     def persistent(self, threshold: float) -> list[TrackedConcept]:
-        """The concepts of the last search whose average exceeds this share of the limit, largest first."""
+        """Return concepts of the last search whose average exceeds this share of the limit, largest first."""
         above = [c for c in self.concepts if c.found and c.average > threshold * self.limit]
         return sorted(above, key=lambda c: -c.average)
 

@@ -1,6 +1,6 @@
-"""The database of discovery on groups of features: successes and failures apart.
+"""The database of discovery on feature groups, which keeps successes and failures apart.
 
-While few trajectories succeed, those that come upon something rare stand for successes.
+While few trajectories succeed, trajectories that meet a rare thing stand for successes.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from sb3_options.experience.observations import take
 from sb3_options.experience.trajectories import LabelledTrajectory, TrajectoryDatabase
 
 LEAST_TRAJECTORIES = 16
-"""Nothing is rare among fewer than these."""
+"""Nothing is rare among fewer trajectories than this."""
 
 
 class Salience:
     """Finds rare events, and counts a failed trajectory as a success up to its rare event.
 
-    Options need bottlenecks, and bottlenecks need successes, which are rare before there are options. What is seldom
-    come upon lies behind something: a goal behind a door that has to be opened. So the ways there are positive bags
-    until enough trajectories have really succeeded. Salient events as ends of options, before there is a goal, are
-    Singh, Barto & Chentanez's (2005).
+    Options need bottlenecks, and bottlenecks need successes, which are rare before there are options. A thing that is
+    seldom met lies behind something, such as a goal behind a door to open. So paths to it are positive bags until
+    enough trajectories have really succeeded. Singh, Barto & Chentanez (2005) proposed salient events as ends of
+    options before there is a goal.
 
-    Only groups about a single thing count, those with one set of features in ``present``: a pair is rarer than its
-    parts, and no more to look for.
+    Only groups about a single thing count, those with one set of features in ``present``. A pair is rarer than its
+    parts, but no better subgoal.
     """
 
     STATE = ("rare", "_n", "_successes", "_came")
@@ -42,7 +42,7 @@ class Salience:
         self._came = np.zeros(len(self.groups), dtype=np.int64)
 
     def add(self, trajectory: LabelledTrajectory) -> bool:
-        """Count one more trajectory, and say whether other things are rare now than before."""
+        """Count a trajectory. Return whether the set of rare things has changed."""
         if not self.share or self._successes >= self.enough:
             return False
         self._n += 1
@@ -57,7 +57,7 @@ class Salience:
         return self.rare != before
 
     def label(self, trajectory: LabelledTrajectory) -> LabelledTrajectory:
-        """What a trajectory counts as."""
+        """Return a trajectory as it counts: a failure may count as a success up to its rare event."""
         visits = trajectory.trajectory.visits
         times = []
         for number in () if trajectory.success else self.rare:
@@ -68,13 +68,13 @@ class Salience:
 
 
 class OutcomeDatabase(TrajectoryDatabase):
-    """The last ``capacity`` successful trajectories and as many of the others, each with its own ``max_bytes``.
+    """The last ``capacity`` successes and the last ``capacity`` failures, each with its own ``max_bytes``.
 
-    Where few trajectories succeed, the last ones of all hardly hold any that did. What counts as a success is decided
-    anew when other things are rare (`Salience`).
+    If successes are few, the last trajectories overall hold hardly any. When the set of rare things changes,
+    trajectories are labelled again (`Salience`).
 
     Attributes:
-        n_entered: Successes that were added; those of which something else is rare now count again.
+        n_entered: Successes that were added; after relabelling, failures that stand for a success count again.
     """
 
     STATE = ("_salience", "n_entered")
@@ -85,7 +85,7 @@ class OutcomeDatabase(TrajectoryDatabase):
         self.n_entered = 0
 
     def add(self, trajectory: LabelledTrajectory) -> None:
-        """Append, dropping the oldest one of its kind when there are too many."""
+        """Append a trajectory, dropping the oldest of its kind if there are too many."""
         if self._salience.add(trajectory):
             wholes = [each.whole or each for each in self._trajectories]
             labelled = [self._salience.label(each) for each in wholes]
@@ -95,16 +95,16 @@ class OutcomeDatabase(TrajectoryDatabase):
         self.n_entered += self._trajectories[-1].success
 
     def kind(self, trajectory: LabelledTrajectory) -> bool:
-        """Successes and failures have a capacity each."""
+        """Give successes and failures a capacity each."""
         return trajectory.success
 
     def __iter__(self) -> Iterator[LabelledTrajectory]:
-        """The unsuccessful ones, then the successful ones, each oldest first."""
+        """Iterate over failures, then successes, each oldest first."""
         return iter(sorted(self._trajectories, key=lambda each: each.success))
 
 
 def _until(labelled: LabelledTrajectory, time: int) -> LabelledTrajectory:
-    """The first steps of a trajectory, as a success."""
+    """Return the first ``time`` steps of a trajectory as a success."""
     whole = labelled.trajectory
     n_states = int(whole.visits[: time + 1].max()) + 1
     part = replace(

@@ -1,4 +1,4 @@
-"""How subgoals are found."""
+"""Settings of discovery."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class DiscoverySettings:
             only the static filter, `spacing`, `subgoal_radius`, `scale`, `capacity`, `max_share` and `segmentation`.
         segmentation: A trajectory is an episode (``episodes``) or, in continuing tasks, a segment between two ``peaks``
             of reward (`recording.SegmentRecorder`).
-        max_segment: A segment without a peak fails after so many primitive steps. It should exceed the steps that
+        max_segment: A segment without a peak fails after this many primitive steps. It should exceed the steps that
             random exploration takes from peak to peak.
         max_share: Maximum share of training that searches may take, None for any. It is counted in work, not by the
             clock (`budget`). After an expensive search the next ones come later. Training counts as at least 40,000
@@ -79,18 +79,18 @@ class DiscoverySettings:
 
 
 CATEGORICAL_SCALE = 6.0
-"""One-hot codes of two states are then 6√2 = 8.5 units apart, farther than any default radius: equal or not."""
+"""With it, one-hot codes of two states are 6√2 = 8.5 units apart, farther than any default radius."""
 
 
 SHOWN = 6
-"""As many coordinates of a point are shown: those of two things, whether and where they are."""
+"""Number of coordinates shown of a point: enough for presence and position of two things."""
 
 
 def described(point: FloatArray, kind: str | None, group: FeatureGroup | None = None) -> str:
-    """A point of concept space for people: the state behind a one-hot code, or the first `SHOWN` coordinates.
+    """Describe a point of concept space: the state behind a one-hot code, or the first `SHOWN` coordinates.
 
     Args:
-        point: In the group's own features, if there is one, (k,), else in all, (d,).
+        point: The group's own features, (k,), or without a group all features, (d,).
         kind: Where φ comes from.
         group: The features that count, if not all do.
     """
@@ -102,16 +102,16 @@ def described(point: FloatArray, kind: str | None, group: FeatureGroup | None = 
 
 
 UNITS_PER_RANGE = 20.0
-"""Features nobody scaled are taken to have this many distinguishable values along the range seen so far."""
+"""Unscaled features are assumed to have this many distinguishable values over the range seen so far."""
 
 
 def default_scale(kind: str | None, features: FloatArray) -> FloatArray:
-    """The scale that makes one unit of concept space one step, as far as that can be known.
+    """Return the scale that makes one unit of concept space one step, as far as it is known.
 
     Args:
-        kind: Where φ comes from (`features.FeatureKind`). A user's φ and an environment's own are taken to be in
+        kind: Where φ comes from (`features.FeatureKind`). A user's φ and an environment's own are assumed to be in
             such units already.
-        features: All that was seen so far, shape (m, d).
+        features: All features seen so far, shape (m, d).
 
     Returns:
         Factors of shape (d,), each 1, or `CATEGORICAL_SCALE`, or `UNITS_PER_RANGE` over the range of each feature.

@@ -1,4 +1,4 @@
-"""Which states may be subgoals at all: not what surrounds the start and the goal."""
+"""Which states may be subgoals at all: those away from start and goal."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 StaticFilter: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], BoolArray]
-"""Scaled features (m, d), those of the start (d,) and of the end (d,) → which may be subgoals, shape (m,)."""
+"""Scaled features of the states (m, d), start (d,) and end (d,) → which states may be subgoals, shape (m,)."""
 
 
 def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> StaticFilter:
-    """The default static filter: nothing within these distances of the trajectory's first and last state.
+    """Make the default static filter: no subgoal near the trajectory's first or last state.
 
     The states around start and goal lie on every successful trajectory without being bottlenecks (McGovern & Barto
     2001, §4, after Iba 1989).
 
     Args:
-        start_radius: In scaled units of concept space, ≥ 0.
-        goal_radius: The same, for the last state.
+        start_radius: Distance from the first state, in scaled units of concept space, ≥ 0.
+        goal_radius: The same for the last state.
     """
 
     def keep(features: FloatArray, start: FloatArray, end: FloatArray) -> BoolArray:
@@ -34,14 +34,14 @@ def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> 
 
 
 def steps_from_start_and_goal(visits: IntArray, start_radius: float, goal_radius: float) -> BoolArray:
-    """`near_start_and_goal` where states have no distances: within these numbers of steps along the trajectory."""
+    """`near_start_and_goal` for states without distances: radii count steps along the trajectory."""
     first = np.unique(visits, return_index=True)[1]
     left = np.unique(visits[::-1], return_index=True)[1]
     return (first > start_radius) & (left > goal_radius)
 
 
 def steps_from(rows: IntArray, visits: IntArray) -> IntArray:
-    """Fewest steps along a trajectory between each of its states and a visit of some of them."""
+    """Return the fewest steps along a trajectory from each of its states to a visit of one of ``rows``."""
     fewest = np.full(int(visits.max()) + 1, len(visits))
     if len(rows) == 0:
         return fewest

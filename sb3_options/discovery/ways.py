@@ -11,19 +11,19 @@ from scipy.spatial.distance import cdist
 from sb3_options.experience.observations import FloatArray, IntArray
 
 NEAR = 5.0
-"""A way comes near a place within this many times the radius within which it leads through it."""
+"""A way is near a place within this many radii. It leads through the place within one radius."""
 
 AT_ONCE = 1 << 20
-"""Distances that are held at once."""
+"""Maximum number of distances held at once."""
 
 
 def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArray:
-    """The distinct states of a trajectory without its loops, in order.
+    """Return the distinct states of a trajectory without its loops, in order.
 
-    A random walk visits nearly everything, and what all walks have in common by accident passes for a bottleneck. From
-    each state the way goes on after the last time the trajectory was there, so that no state comes twice (Lawler 1980
-    cuts each loop as it closes; both leave a way from start to end). A trajectory that ends where it began, as segments
-    between two peaks of reward do, is no loop as a whole: its last steps, within ``radius`` of its start, are left out.
+    Random walks visit nearly all states, and states that they share by accident pass for bottlenecks. So the way leaves
+    each state after the trajectory's last visit to it, and no state comes twice. (Lawler 1980 cuts each loop as it
+    closes. Both leave a way from start to end.) A trajectory may end where it began, like a segment between two peaks
+    of reward. It does not count as one loop: its last steps, within ``radius`` of its start, are left out.
 
     Args:
         features: φ of the distinct states in scaled units, shape (m, d).
@@ -31,14 +31,14 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
         radius: States within this distance count as the same, ≥ 0. In continuous spaces no state repeats exactly.
 
     Returns:
-        Rows of ``features``, shape (k,), k ≤ m, each at most once. The first is ``visits[0]``; the last is within
-        ``radius`` of where the trajectory ended, or, where that is within ``radius`` of its start, of the last state
-        before it came back.
+        Rows of ``features``, shape (k,), k ≤ m, each at most once. The first is ``visits[0]``. The last is within
+        ``radius`` of the trajectory's end. If the end is within ``radius`` of the start, it is within ``radius`` of the
+        last state before the return.
     """
     if np.linalg.norm(features[visits[-1]] - features[visits[0]]) <= radius:
         away = np.linalg.norm(features - features[visits[0]], axis=1) > radius
         visits = visits[: max(np.flatnonzero(away[visits]), default=0) + 1]
-    last_visit = np.zeros(len(features), dtype=np.int64)  # of what was left out no visit counts
+    last_visit = np.zeros(len(features), dtype=np.int64)  # visits that were left out do not count
     last_visit[visits] = np.arange(len(visits))
     row_at = visits.tolist()
     last_near = _last_near(features, last_visit, radius)
@@ -51,26 +51,26 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
 
 
 def _last_near(features: FloatArray, last_visit: IntArray, radius: float) -> Callable[[int], int]:
-    """When a trajectory was last within a radius of the state of a row."""
+    """Return a function of a row: when the trajectory was last within a radius of its state."""
     last = last_visit.tolist()
     neighbours = cKDTree(features)
     return lambda row: max(last[near] for near in neighbours.query_ball_point(features[row], radius))
 
 
 class PassingShare:
-    """Of the ways that come near a state, the share that lead through it, for the states of many ways.
+    """For each state of many ways, the share of nearby ways that lead through it.
 
-    All ways that come near a doorway pass it. Of the ways that come near a place in open space most pass beside it. One
-    way more is taken to pass beside every place, so that one or two ways show nothing.
+    All ways that come near a doorway pass through it. Most ways that come near a place in open space pass beside it. An
+    extra way is assumed to pass beside every place, so that one or two ways show nothing.
     """
 
     def __init__(self, radius: float) -> None:
         self._limits = np.array([[NEAR * radius], [radius]])
         self._ways: dict[int, FloatArray] = {}  # by id
-        self._counts: dict[int, IntArray] = {}  # of each way, at its states: ways near, ways through, (2, k)
+        self._counts: dict[int, IntArray] = {}  # at the states of each way: ways near, ways through, (2, k)
 
     def update(self, ways: Sequence[FloatArray]) -> FloatArray:
-        """The shares among these ways; only ways added or removed since the last call are counted."""
+        """Return the shares among these ways. Only ways added or removed since the last call are counted."""
         current = set(map(id, ways))
         for key in [key for key in self._ways if key not in current]:
             gone = self._ways.pop(key)
@@ -86,7 +86,7 @@ class PassingShare:
         return shares
 
     def _count(self, way: FloatArray, sign: int) -> None:
-        """Add a way to the counts at the states of all others, and all to the counts at its own; or take it out."""
+        """Add a way to the counts of all other ways and count all ways at its own states; or remove it."""
         together = np.concatenate(list(self._ways.values()))
         starts = np.cumsum([0, *map(len, self._ways.values())])[:-1]
         at_once = max(AT_ONCE // max(together.shape), 1)

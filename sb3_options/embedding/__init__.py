@@ -1,1 +1,1 @@
-"""Feature maps that are learned from trajectories: nobody has to hand in coordinates."""
+"""Feature maps learned from trajectories, so that nobody has to supply coordinates."""

@@ -1,4 +1,4 @@
-"""The networks of learned feature maps: a table for numbered states, convolutions for images, else two layers."""
+"""Networks of learned feature maps: a table for numbered states, convolutions for images, else two layers."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ CLIP = 5.0
 """Standardised observations are clipped to ± this (Burda et al. 2018, §2.4)."""
 
 SMALLEST = 1e-3
-"""Least standard deviation of a pixel, as a share of the largest: what does not move is 0."""
+"""Minimum standard deviation of a pixel, as a share of the largest: pixels that do not change become 0."""
 
 ROUNDING = 1e-6
-"""The same for other numbers, as a share of their mean: smaller movements are rounding errors."""
+"""The same for other numbers, as a share of their mean: smaller changes are rounding errors."""
 
 MIN_IMAGE = 36
-"""Least side of an image in pixels, that of the smallest that the convolutions of Mnih et al. (2015) accept."""
+"""Smallest side of an image in pixels that the convolutions of Mnih et al. (2015) accept."""
 
 HIDDEN = 64
 """Units of hidden layers."""
 
 CHANNELS = (8, 16)
-"""Channels of the two convolutions, half of those of Mnih et al. (2013): a map has little to tell apart."""
+"""Channels of the two convolutions, half as many as in Mnih et al. (2013): a map has little to tell apart."""
 
 
 class ObservationForm(NamedTuple):
-    """What an encoder has to know of observations.
+    """The form of observations, as an encoder needs it.
 
     Attributes:
-        kind: ``table`` of numbered states, ``image``, or ``vector`` for everything else, laid flat.
+        kind: ``table`` of numbered states, ``image``, or ``vector`` for everything else, flattened.
         shape: (n,) states; (channels, height, width); (numbers,).
-        first: Number of the first state, or whether the channels of an image come last, as 0 or 1.
+        first: Number of the first state; for an image 1 if channels come last, else 0.
     """
 
     kind: Literal["table", "image", "vector"]
@@ -45,7 +45,7 @@ class ObservationForm(NamedTuple):
 
 
 def form_of_array(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> ObservationForm:
-    """The form of observations that are one array: an image if it has the shape of one."""
+    """Return the form of observations that are one array: an image if shape and dtype fit."""
     for first, channels, sides in ((1, shape[-1:], shape[:2]), (0, shape[:1], shape[1:])):
         if dtype == np.uint8 and len(shape) == 3 and channels[0] in (1, 3, 4, 12) and min(sides) >= MIN_IMAGE:
             return ObservationForm("image", (*channels, *sides), first)
@@ -53,14 +53,14 @@ def form_of_array(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> Observ
 
 
 def as_tensor(observations: Observations, form: ObservationForm) -> torch.Tensor:
-    """A batch in the layout that the encoder takes, not yet standardised; bytes stay bytes.
+    """Convert a batch to the encoder's layout, not yet standardised; bytes stay bytes.
 
-    Numbers of states (n,), images (n, channels, height, width), or rows (n, numbers).
+    The layout is state numbers (n,), images (n, channels, height, width), or rows (n, numbers).
     """
     if form.kind == "table":
         return torch.from_numpy(np.asarray(observations).reshape(len(observations)).astype(np.int64) - form.first)
     if form.kind == "image":
-        assert not isinstance(observations, Mapping)  # the form is that of an array
+        assert not isinstance(observations, Mapping)  # only an array has this form
         images = np.moveaxis(observations, -1, 1) if form.first else observations
         return torch.from_numpy(np.ascontiguousarray(images))
     return torch.from_numpy(flatten(observations).astype(np.float32))
@@ -69,12 +69,12 @@ def as_tensor(observations: Observations, form: ObservationForm) -> torch.Tensor
 class Encoder(nn.Module):
     """A network from observations to ``size`` numbers.
 
-    Each number of an observation is standardised by what was seen before the first gradient step. What never moves,
-    as the walls in a picture, is 0 then, and the agent stands out however small it is.
+    Each number of an observation is standardised by the data seen before the first gradient step. Constant parts, such
+    as walls in a picture, become 0, so the agent stands out however small it is.
 
     Args:
-        form: Of an observation.
-        size: Of the output.
+        form: Form of an observation.
+        size: Size of the output.
     """
 
     shift: torch.Tensor
@@ -88,7 +88,7 @@ class Encoder(nn.Module):
         self.register_buffer("factor", torch.ones(shape))
         self.layers: nn.Module
         if form.kind == "table":
-            # Not straight to the output: rows that share nothing take several times as many gradient steps.
+            # Not straight to the output: rows that share no weights need several times as many gradient steps.
             self.layers = nn.Sequential(
                 nn.Embedding(form.shape[0], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, size)
             )
@@ -104,20 +104,20 @@ class Encoder(nn.Module):
             )
 
     def standardise_by(self, batch: torch.Tensor) -> None:
-        """Take mean and standard deviation of each number from a batch, in the layout of `as_tensor`."""
+        """Set mean and standard deviation of each number from a batch, in the layout of `as_tensor`."""
         if self.form.kind == "table":
             return
         if self.form.kind == "image":
             std, mean = torch.std_mean(batch.float(), dim=0, correction=0)
             least = SMALLEST * std.max()
-        else:  # numbers of any units: each has its own floor, and squares of large ones need the room
+        else:  # numbers of any units: each has its own floor, and squares of large numbers need double precision
             std, mean = torch.std_mean(batch.double(), dim=0, correction=0)
             least = ROUNDING * mean.abs()
         self.shift.copy_(mean)
         self.factor.copy_(1.0 / torch.clamp(torch.maximum(std, least), min=1e-8))
 
     def forward(self, batch: torch.Tensor) -> torch.Tensor:
-        """From the layout of `as_tensor` to (n, size)."""
+        """Map the layout of `as_tensor` to (n, size)."""
         if self.form.kind != "table":
             batch = ((batch.float() - self.shift) * self.factor).clamp(-CLIP, CLIP)
         made: torch.Tensor = self.layers(batch)
@@ -125,7 +125,7 @@ class Encoder(nn.Module):
 
 
 def _convolutions(shape: tuple[int, ...], size: int) -> nn.Sequential:
-    """Two convolutions and a hidden layer (Mnih et al. 2013), padded, so that no pixel at an edge goes unseen."""
+    """Build two convolutions and a hidden layer (Mnih et al. 2013), padded so that they see all edge pixels."""
     first, second = CHANNELS
     convolutions = nn.Sequential(
         nn.Conv2d(shape[0], first, 8, stride=4, padding=4),

@@ -1,4 +1,4 @@
-"""`LearnedMap`: a feature map that is data, and can be learned on while others use it."""
+"""`LearnedMap`: a feature map that is data, and can be trained further while in use."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from sb3_options.embedding.settings import LEARNED, SIZE
 from sb3_options.experience.observations import FloatArray, Observations, batch_size
 
 BATCH = 512
-"""Observations that are encoded at once, so that many images take little memory."""
+"""Maximum observations encoded at once, so that many images take little memory."""
 
 DECIMALS = 3
-"""Features are rounded to thousandths of a step. One observation has nearly always the same features in every batch
-then, though products of matrices differ in their last bits with the size of the batch."""
+"""Features are rounded to thousandths of a step. So an observation nearly always has the same features in every batch,
+although the last bits of matrix products depend on the batch size."""
 
 
 class LearnedMap:
-    """φ(x) = scale · encoder(x), with the scale that makes one unit about one step.
+    """φ(x) = scale · encoder(x), where the scale makes one unit about one step.
 
-    Before it is learned it is a random network, and no distance in it means anything.
+    Before training it is a random network, and its distances have no meaning.
 
     Args:
-        form: Of observations.
-        seed: Of the first weights.
+        form: Form of observations.
+        seed: Seed of the initial weights.
 
     Attributes:
-        learned: How many times it was learned, or learned on.
-        fixed: Whether it stays as it is, because options came with it that live in its space.
+        learned: Number of completed trainings.
+        fixed: Whether it no longer changes, because it came with options that live in its space.
     """
 
     STATE = ("encoder", "scale", "learned", "fixed")
@@ -41,38 +41,38 @@ class LearnedMap:
     size = SIZE
 
     def __init__(self, form: ObservationForm, seed: int = 0) -> None:
-        with torch.random.fork_rng(devices=[]):  # whatever else is drawn stays as it is without a learned map
+        with torch.random.fork_rng(devices=[]):  # leaves all other random draws unchanged
             torch.manual_seed(seed)
-            # Beside φ there is a potential c, which is needed for learning alone.
+            # Besides φ there is a potential c, which only training needs.
             self.encoder = Encoder(form, self.size + 1)
         self.scale = np.ones(self.size)
         self.learned = 0
         self.fixed = False
 
     def __call__(self, observations: Observations) -> FloatArray:
-        """φ of a batch of observations, (batch, d); NaN for those that are not finite as 32-bit numbers."""
+        """Return φ of a batch of observations, (batch, d); NaN if they are not finite in 32 bits."""
         if batch_size(observations) == 0:
             return np.zeros((0, self.size))
         rows = as_tensor(observations, self.encoder.form)
         features = self.of_tensor(rows)
-        if rows.is_floating_point():  # the network clips them, and would make something of infinity
+        if rows.is_floating_point():  # the network clips its input, and would hide infinity
             features[~torch.isfinite(rows).all(dim=1).numpy()] = np.nan
         return features
 
     def of_tensor(self, rows: torch.Tensor) -> FloatArray:
-        """φ of observations in the layout of `as_tensor`, (n, d)."""
+        """Return φ of observations in the layout of `as_tensor`, (n, d)."""
         with torch.no_grad():
             made = torch.cat([self.encoder(part) for part in torch.split(rows, BATCH)])[:, : self.size]
         features: FloatArray = np.round(made.numpy().astype(np.float64) * self.scale, DECIMALS) + 0.0
         return features
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Everything it consists of, by name."""
+        """Return the arrays of the map, by name."""
         weights = {f"encoder.{key}": value.detach().numpy().copy() for key, value in self.encoder.state_dict().items()}
         return {**weights, "scale": self.scale.copy(), "learned": np.array(self.learned)}
 
     def load(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Become what `arrays` gave."""
+        """Load the map from its `arrays`."""
         expected = {name: array.shape for name, array in self.arrays().items()}
         found = {name: np.shape(array) for name, array in arrays.items()}
         if found != expected:

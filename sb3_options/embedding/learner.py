@@ -1,14 +1,14 @@
-"""`FeatureLearner`: learns a feature map from saved trajectories, again and again while they become more.
+"""`FeatureLearner`: learns a feature map from saved trajectories, repeatedly as their number grows.
 
-The objective is a contrastive temporal distance: how long it takes from one observation to another, as a distance in
-Euclidean space. Jiang et al. (2025), *Episodic Novelty Through Temporal Distance*, learn the successor distance of
-Myers et al. (2024), d(x, y) = log p(y | y) − log p(y | x) with p the discounted distribution of future states. Their
-energy is c(y) − d(x, y), where d is the quasimetric of Liu et al. (2023), *Metric Residual Networks*: an asymmetric
-part, plus ‖φ(x) − φ(y)‖. Here d is the second part alone, for diverse density, radii and static filters measure
-distances without direction. What is lost is the difference between there and back.
+The objective is a contrastive temporal distance: the time from one observation to another, as a Euclidean distance.
+Jiang et al. (2025), *Episodic Novelty Through Temporal Distance*, learn the successor distance of Myers et al. (2024),
+d(x, y) = log p(y | y) − log p(y | x), with p the discounted distribution of future states. Their energy is
+c(y) − d(x, y), where d is the quasimetric of Liu et al. (2023), *Metric Residual Networks*: an asymmetric part, plus
+‖φ(x) − φ(y)‖. Here d is the second part alone, because diverse density, radii and static filters measure distances
+without direction. So the difference between there and back is lost.
 
-Gradient steps on pictures take long. So they are spread over training: some at once, some more every 500 primitive
-steps. How many is counted in nominal seconds, so that one seed gives one result.
+Gradient steps on pictures are slow. So they are spread over training, some of them every 500 primitive steps.
+Their number follows from nominal seconds, so that one seed gives one result.
 """
 
 from __future__ import annotations
@@ -27,37 +27,37 @@ from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.experience.trajectories import Trajectory
 
 FIRST_TRAJECTORIES = 8
-"""Trajectories before the map is learned first: eight random walks visit most of two rooms."""
+"""Trajectories before the first training of the map: eight random walks visit most of two rooms."""
 
 MOST_STEPS = 20_000
-"""Steps whose median length becomes the unit."""
+"""Maximum number of steps whose median length becomes the unit."""
 
 STEPS_BETWEEN = 500
 """Primitive steps between two pauses for learning."""
 
 PAUSE_SECONDS = 0.4
-"""Nominal length of the gradient steps in such a pause: with the rest less than a second in a thousand steps."""
+"""Nominal seconds of gradient steps in such a pause: in all, less than a second per thousand primitive steps."""
 
 UPDATE_SECONDS, NUMBER_SECONDS = 1.5e-3, 8e-9
-"""Nominal seconds of a gradient step, and of each number of the observations in it: measured on one core."""
+"""Nominal seconds of a gradient step, and of each number in its observations, measured on one core."""
 
 SOFT = 1e-4
-"""Added beneath the root, whose slope at 0 is infinite; above the rounding of the matrix product."""
+"""Added under the root, whose slope at 0 is infinite. It exceeds the rounding of the matrix product."""
 
 
 class FeatureLearner:
-    """Learns a `LearnedMap`, and scales it so that a primitive step that moves has a median length of 1.
+    """Learns a `LearnedMap`, and scales it so that primitive steps that move have a median length of 1.
 
-    Radii, static filters and peaks of discovery are in units of one step, and so the learned space has to be.
+    Discovery measures radii, static filters and peaks in steps, so the learned space must do so too.
 
     Args:
-        feature_map: What is learned.
-        settings: How.
-        seed: Of the draws.
+        feature_map: The map to learn.
+        settings: Settings of learning.
+        seed: Seed of the random draws.
 
     Attributes:
-        n_trajectories: How many there had been when the map was last learned; 0 before.
-        done: Gradient steps of the learning that is under way; 0 where none is.
+        n_trajectories: Number of trajectories at the last training of the map; 0 before.
+        done: Gradient steps of the training in progress; 0 if there is none.
     """
 
     STATE = ("map", "n_trajectories", "done", "_encoder", "_optimizer", "_generator", "_goes_on_at")
@@ -65,7 +65,7 @@ class FeatureLearner:
     def __init__(self, feature_map: LearnedMap, settings: EmbeddingSettings, seed: int = 0) -> None:
         self.map = feature_map
         self.settings = settings
-        self._encoder = copy.deepcopy(feature_map.encoder)  # the map stays as it is until the other has learned
+        self._encoder = copy.deepcopy(feature_map.encoder)  # the map stays unchanged until this copy is trained
         self._generator = torch.Generator().manual_seed(seed)
         self._optimizer = torch.optim.Adam(self._encoder.parameters(), lr=settings.learning_rate)
         self.n_trajectories = 0
@@ -74,11 +74,11 @@ class FeatureLearner:
 
     @property
     def updates(self) -> int:
-        """Gradient steps of one learning: half as many where the map was learned before."""
+        """Gradient steps of one training: half as many if the map was trained before."""
         return math.ceil(self.settings.updates / (2 if self.map.learned else 1))
 
     def is_due(self, n_trajectories: int, n_steps: int) -> bool:
-        """Whether to learn, or to continue learning, after so many trajectories and primitive steps.
+        """Whether to start or continue learning after this many trajectories and primitive steps.
 
         Learning begins at `FIRST_TRAJECTORIES`, then at every doubling.
         """
@@ -87,14 +87,13 @@ class FeatureLearner:
         return n_trajectories >= max(FIRST_TRAJECTORIES, 2 * self.n_trajectories)
 
     def learn(self, trajectories: Iterable[Trajectory], n_trajectories: int, n_steps: int) -> bool:
-        """Take gradient steps on pairs of the saved trajectories, oldest first, for `PAUSE_SECONDS`.
+        """Take gradient steps on pairs from the saved trajectories, oldest first, for `PAUSE_SECONDS`.
 
-        After the last gradient step the map becomes what was learned, with the scale. ``n_trajectories`` and
-        ``n_steps`` count those that are no longer saved, too. After steps that led to numbers that are not finite the
-        map stays as it is.
+        The last gradient step replaces the map, and sets its scale. ``n_trajectories`` and ``n_steps`` include
+        trajectories no longer saved. If weights are not finite, the map stays unchanged.
 
         Returns:
-            Whether the map has changed. It does not where no step leads to another observation.
+            Whether the map has changed. It has not if no step leads to another observation.
         """
         replay = Replay(trajectories, self.map.encoder.form, self._generator)
         before, after = replay.steps()
@@ -139,7 +138,7 @@ class FeatureLearner:
         self._optimizer.step()
 
     def _step_length(self, replay: Replay, before: torch.Tensor, after: torch.Tensor) -> float:
-        """The median distance between the observations of steps that move."""
+        """Return the median distance between the observations of steps that move."""
         chosen = torch.randint(len(before), (min(len(before), MOST_STEPS),), generator=self._generator)
         rows, which = torch.unique(torch.cat([before[chosen], after[chosen]]), return_inverse=True)
         one, other = np.split(self.map.of_tensor(replay.observations[rows])[which.numpy()], 2)
@@ -148,14 +147,14 @@ class FeatureLearner:
 
 
 def energies(began: torch.Tensor, led: torch.Tensor) -> torch.Tensor:
-    """c(yⱼ) − ‖φ(xᵢ) − φ(yⱼ)‖ of all pairs, (n, n), from what the encoder makes of x and y, (n, d + 1): φ, then c."""
+    """Return c(yⱼ) − ‖φ(xᵢ) − φ(yⱼ)‖ of all pairs, (n, n), from encoded x and y, (n, d + 1): φ, then c."""
     x, y = began[:, :-1], led[:, :-1]
     squares = x.square().sum(dim=1)[:, None] + y.square().sum(dim=1) - 2.0 * x @ y.T
     return led[:, -1] - torch.sqrt(squares.clamp(min=0.0) + SOFT)
 
 
 def contrastive_loss(began: torch.Tensor, led: torch.Tensor) -> torch.Tensor:
-    """Symmetric InfoNCE: which y followed which x, and the other way round (Jiang et al. 2025)."""
+    """Return symmetric InfoNCE: which y followed which x, and vice versa (Jiang et al. 2025)."""
     logits = energies(began, led)
     same = torch.arange(len(logits))
     return 0.5 * (functional.cross_entropy(logits, same) + functional.cross_entropy(logits.T, same))

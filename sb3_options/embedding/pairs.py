@@ -1,4 +1,4 @@
-"""Pairs of observations that lie some steps apart, drawn from saved trajectories."""
+"""Draws pairs of observations some steps apart from saved trajectories."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from sb3_options.experience.observations import batch_size, concatenate, key_of,
 from sb3_options.experience.trajectories import Trajectory
 
 MOST_BYTES = 32 << 20
-"""Of the trajectories that a map is learned from at once."""
+"""Maximum size of the trajectories that a map is learned from at once."""
 
 
 class Replay:
-    """The distinct observations of trajectories, and in which order they were visited.
+    """The distinct observations of trajectories, and the order of their visits.
 
-    An observation that is in a batch many times is encoded once: in a gridworld this is what learning from images
-    takes most of its time for.
+    An observation that occurs repeatedly in a batch is encoded once: in a gridworld, encoding takes most of the time of
+    learning from images.
 
     Args:
-        trajectories: If they are larger than `MOST_BYTES`, some of them are drawn.
-        form: Of their observations.
-        generator: That draws.
+        trajectories: The trajectories; a random part if they are larger than `MOST_BYTES`.
+        form: Form of their observations.
+        generator: Generator of the random part.
     """
 
     def __init__(self, trajectories: Iterable[Trajectory], form: ObservationForm, generator: torch.Generator) -> None:
@@ -48,7 +48,7 @@ class Replay:
         # How many steps follow each visit in its trajectory.
         self._left = torch.from_numpy(ends - np.arange(len(ends)) - 1)
         self._starts = torch.nonzero(self._left).ravel()
-        # The same visits, those of one observation together, of which there are so many from ``first`` on.
+        # The same visits, grouped by observation: each group has its count, and begins at ``first``.
         self._sorted = self._starts[torch.argsort(self._visits[self._starts], stable=True)]
         _, self._counts = torch.unique_consecutive(self._visits[self._sorted], return_counts=True)
         self._first = torch.cumsum(self._counts, dim=0) - self._counts
@@ -58,18 +58,18 @@ class Replay:
         return len(self.observations)
 
     def steps(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Rows of the observations before and after every primitive step that moved, (n,) each."""
+        """Return rows of the observations before and after every primitive step that moved, (n,) each."""
         before, after = self._visits[self._starts], self._visits[self._starts + 1]
         moved = before != after
         return before[moved], after[moved]
 
     def sample(self, n: int, horizon: float, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
-        """Rows of ``n`` pairs k steps apart, earlier and later.
+        """Return rows of ``n`` pairs k steps apart, earlier and later.
 
         P(k) ∝ γᵏ⁻¹ for k up to the end of the trajectory, γ = 1 − 1/horizon.
 
         Each distinct observation begins a pair equally often. A walk visits some places a hundred times as often as
-        others; drawn by visits, the seldom ones would lie far away from everything, however near they are.
+        others. If pairs were drawn by visits, rare places would lie far from everything, however near they are.
         """
         which = torch.randint(len(self._counts), (n,), generator=generator)
         visit = torch.rand(n, dtype=torch.float64, generator=generator) * self._counts[which]
@@ -84,14 +84,14 @@ class Replay:
         return self._visits[at], self._visits[at + steps]
 
     def encoded(self, encoder: Encoder, *rows: torch.Tensor) -> list[torch.Tensor]:
-        """What the encoder makes of the observations in these rows, (n, size) for each."""
+        """Encode the observations in these rows, (n, size) for each."""
         distinct, which = torch.unique(torch.cat(rows), return_inverse=True)
         made = encoder(self.observations[distinct])[which]
         return list(made.split([len(each) for each in rows]))
 
 
 def _some(trajectories: list[Trajectory], generator: torch.Generator) -> list[Trajectory]:
-    """At least one of the trajectories, of `MOST_BYTES` together, in the same order."""
+    """Draw trajectories of up to `MOST_BYTES` together, at least one, and keep their order."""
     n_bytes = torch.tensor([each.n_bytes for each in trajectories])
     if n_bytes.sum() <= MOST_BYTES:
         return trajectories

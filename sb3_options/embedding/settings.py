@@ -1,4 +1,4 @@
-"""How a feature map is learned."""
+"""Settings of learned feature maps."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Annotated, Literal, TypeAlias
 from sb3_options.checked import Field, settings
 
 MapName: TypeAlias = Literal["temporal-distance"]
-"""Feature maps that can be learned."""
+"""Names of feature maps that can be learned."""
 
 LEARNED: MapName = "temporal-distance"
-"""Name of the feature map that is learned."""
+"""Name of the learned feature map."""
 
 SIZE = 8
-"""Dimensions d of its concept space, which hold the distances of rooms."""
+"""Dimensions d of its concept space, enough for the distances of rooms."""
 
 
 @settings

@@ -1,1 +1,1 @@
-"""A run of `train.py`: its settings, its folder, its evaluation; needs the extra ``train``."""
+"""Runs of `train.py`: settings, folder and evaluation. Needs the extra ``train``."""

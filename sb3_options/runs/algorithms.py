@@ -23,11 +23,11 @@ from sb3_options.runs.config import ALGORITHMS, FIELDS, OFF_POLICY, Count, Train
 RESERVED = frozenset({"self", "policy", "env", "verbose", "_init_setup_model"}) | {
     f"{kind}_buffer_{what}" for kind in ("replay", "rollout") for what in ("class", "kwargs")
 }
-"""Arguments of SB3's classes that the library gives."""
+"""Arguments of SB3's classes that the library sets itself."""
 
 
 def class_of(algo: str) -> Any:
-    """The class of an algorithm."""
+    """Import and return the class of an algorithm."""
     module, name = ALGORITHMS[algo]
     try:
         return getattr(importlib.import_module(module), name)
@@ -36,12 +36,12 @@ def class_of(algo: str) -> Any:
 
 
 def arguments_of(algo: str) -> dict[str, inspect.Parameter]:
-    """The arguments of an algorithm that `TrainConfig` has no setting for.
+    """Return the arguments of an algorithm that are not settings of `TrainConfig`.
 
-    ``net_arch`` is one of them, for short; and ``n_steps`` of DQN, which goes to the replay buffer.
+    They include the shorthand ``net_arch``, and for off-policy algorithms the replay buffer's ``n_steps``.
     """
     found: dict[str, inspect.Parameter] = {}
-    for of in inspect.getmro(class_of(algo)):  # OptionDQN hands on to DQN what it does not name
+    for of in inspect.getmro(class_of(algo)):  # OptionDQN passes other arguments on to DQN
         if "__init__" in vars(of):
             found = dict(inspect.signature(vars(of)["__init__"], eval_str=True).parameters) | found
         if "learning_rate" in found:
@@ -54,7 +54,7 @@ def arguments_of(algo: str) -> dict[str, inspect.Parameter]:
 
 
 def checked_arguments(algo: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of an algorithm, checked against the signature of its class."""
+    """Check arguments of an algorithm against the signature of its class."""
     arguments = arguments_of(algo)
     for name in values:
         if name not in arguments:
@@ -69,14 +69,14 @@ def checked_arguments(algo: str, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> BaseAlgorithm:
-    """The untrained model of a run."""
+    """Make the untrained model of a run."""
     space = env.observation_space
-    # NatureCNN takes no smaller picture, such as a view of 7 x 7 cells.
+    # NatureCNN takes no smaller pictures, such as a view of 7 x 7 cells.
     image = is_image_space(space) and min(sorted(space.shape or ())[1:]) >= MIN_IMAGE
     policy = "MultiInput" if isinstance(space, gym.spaces.Dict) else "Cnn" if image else "Mlp"
     arguments = deepcopy(config.algo_kwargs)  # SB3's classes write into policy_kwargs
     if config.algo in OFF_POLICY:
-        # The rollout buffers of the others are the callback's affair.
+        # The callback sets the rollout buffers of on-policy algorithms.
         arguments["replay_buffer_class"] = OptionReplayBuffer
         n_steps = arguments.pop("n_steps", None)
         arguments["replay_buffer_kwargs"] = {} if n_steps is None else {"n_steps": n_steps}
@@ -92,6 +92,6 @@ def make_model(config: TrainConfig, env: VecEnv, *, playing: bool = False) -> Ba
         )
     except (AssertionError, RuntimeError) as error:  # how SB3 and torch refuse arguments
         raise ValueError(f"{config.algo}: {error}") from error
-    # SB3 seeds environment i with seed + i, so that the runs of seeds 0 and 1 would share all but one of them.
+    # SB3 seeds environment i with seed + i, so runs with seeds 0 and 1 would share all environments but one.
     env.seed(config.seed * env.num_envs)
     return model

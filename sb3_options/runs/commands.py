@@ -1,4 +1,4 @@
-"""What each command of the command line takes."""
+"""Settings of each command of the command line."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class DemoConfig:
 
 @settings
 class Trusting:
-    """Settings that import a module: the file of a run is not trusted with them.
+    """Settings that import a module. A run's own file is not trusted with them.
 
     Attributes:
         env: Environment, module:Id, if the run had such an id; evaluate takes any.

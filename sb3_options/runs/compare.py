@@ -32,31 +32,31 @@ TAGS: dict[str, dict[Measure, str]] = {
     "eval": {"success": "eval/success_rate", "return": "eval/mean_reward", "length": "eval/mean_ep_length"},
     "rollout": {"success": "rollout/success_rate", "return": "rollout/ep_rew_mean", "length": "rollout/ep_len_mean"},
 }
-"""Where SB3 logs a measure: in evaluations, and of the last 100 training episodes."""
+"""Tags under which SB3 logs a measure: in evaluations, and for the last 100 training episodes."""
 
 NO_SETTING = HOW_IT_RAN | {"seed"}
-"""What runs of one group may differ in."""
+"""Settings that may differ between runs of one group."""
 
 EVENTS = "**/*tfevents*"
 
 LONGEST_NAME = 40
-"""Characters of a heading that two lines of a table in 80 columns hold."""
+"""Characters of a heading that fit two lines of a table with 80 columns."""
 
 LINE = 72
-"""Characters that fit beside each other below the picture."""
+"""Characters that fit on a line below the picture."""
 
 N_POINTS = 200
-"""At which curves are drawn."""
+"""Number of points at which curves are drawn."""
 
 END = 0.1
-"""Share of training whose mean is what an agent has learned at the end."""
+"""Last share of training whose mean is the result at the end."""
 
 CAPTION = (
     "Interquartile means with 95 % stratified bootstrap intervals. A run that never gets there counts with the whole "
     "budget, that of the shortest run."
 )
 Numbers: TypeAlias = dict[str, Interval | int | str]
-"""Of a group, by what the table calls them."""
+"""Results of a group, by their names in the table."""
 
 UNITS: dict[Measure, str] = {"success": "success rate", "return": "return", "length": "primitive steps of an episode"}
 
@@ -69,7 +69,7 @@ class Curve(NamedTuple):
 
 
 class Run(NamedTuple):
-    """A run, its ``config.yml`` (empty without one), and curves by source (``eval``, ``rollout``) and measure."""
+    """A run: its ``config.yml`` (empty without one), and curves by source (``eval``, ``rollout``) and measure."""
 
     folder: Path
     settings: dict[str, Any]
@@ -77,14 +77,14 @@ class Run(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What is waited for: at least a success rate or a return, at most a length."""
+    """A goal of learning: a minimum success rate or return, or a maximum length."""
 
     measure: Measure
     value: float
 
     @classmethod
     def parsed(cls, text: str) -> Goal:
-        """Of ``success=0.9``; `ValueError` where it names no measure, or a number that the measure cannot have."""
+        """Parse ``success=0.9``; raise `ValueError` for an unknown measure or an impossible number."""
         name, _, value = text.partition("=")
         try:
             number = float(value)
@@ -96,8 +96,8 @@ class Goal(NamedTuple):
         return cls(name, number)  # type: ignore[arg-type]  # checked
 
     def reached(self, curve: Curve) -> float | None:
-        """Primitive steps at the first of two entries in a row that have it; None if there is none."""
-        wanted = float(np.float32(self.value))  # as TensorBoard keeps numbers: its 0.9 is a little less than 0.9
+        """Return primitive steps at the first of two successive entries that reach the goal, or None."""
+        wanted = float(np.float32(self.value))  # TensorBoard keeps 32 bits: its 0.9 is a little less than 0.9
         at = learned_at(curve.values <= wanted if self.measure == "length" else curve.values >= wanted)
         return None if at is None else float(curve.steps[at])
 
@@ -126,7 +126,7 @@ def show_comparison(config: CompareConfig, console: Console) -> None:
 
 
 def read_run(folder: Path) -> Run:
-    """Read what a run logged, of this library, of SB3 or of rl-zoo3."""
+    """Read the logs of a run of this library, SB3 or rl-zoo3."""
     files = sorted({file.parent for file in folder.glob(EVENTS)})
     curves: dict[str, dict[Measure, Curve]] = {source: {} for source in TAGS}
     logs = [EventAccumulator(str(each), size_guidance={"scalars": 0}).Reload() for each in files]
@@ -143,7 +143,7 @@ def read_run(folder: Path) -> Run:
 
 
 def groups_of(words: Sequence[str]) -> dict[str, list[Run]]:
-    """Runs by the name of their group, those with a name of their own last."""
+    """Return runs by group name; groups that the user named come last."""
     named: dict[str, list[Run]] = {}
     for word in words:
         name, equals, pattern = word.partition("=")
@@ -156,9 +156,9 @@ def groups_of(words: Sequence[str]) -> dict[str, list[Run]]:
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """The run folders in a folder; the folder itself if it is one, or holds no more than one log.
+    """Return the run folders in a folder, or the folder itself if it is one, or holds at most one log.
 
-    A run folder has a ``config.yml``; a log that is in none is a run of its own.
+    A run folder has a ``config.yml``. A log outside such folders is a run of its own.
     """
     if (folder / CONFIG).is_file():
         return [folder]
@@ -171,9 +171,9 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 def grouped(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Runs that differ only in their seed make a group, named by the settings that set it apart.
+    """Group runs that differ only in their seed, and name each group by the settings that set it apart.
 
-    Where these take more than `LONGEST_NAME` characters, the group has the name of its first run folder.
+    If these exceed `LONGEST_NAME` characters, the group is named after its first run folder.
     """
     settings = [flat({k: v for k, v in run.settings.items() if k not in NO_SETTING}) for run in runs]
     texts = [{name: json.dumps(value, default=str).replace('"', "") for name, value in of.items()} for of in settings]
@@ -191,25 +191,25 @@ def grouped(runs: Sequence[Run]) -> dict[str, list[Run]]:
 
 
 def _sets_apart(name: str, texts: Sequence[Mapping[str, str]]) -> bool:
-    """Whether runs differ in a setting; in those of an algorithm, whether runs of one algorithm do."""
+    """Whether runs differ in a setting; for settings of an algorithm, whether runs of one algorithm do."""
     own = name != "algo" and name.partition(".")[0] in OWN
     algos = [each.get("algo") if own else None for each in texts]
     return len({(algo, each.get(name)) for algo, each in zip(algos, texts, strict=True)}) > len(set(algos))
 
 
 def _unnumbered(folder: Path) -> str:
-    """``ppo/CartPole-v1`` of ``ppo/CartPole-v1_3``."""
+    """Turn ``ppo/CartPole-v1_3`` into ``ppo/CartPole-v1``."""
     folder = folder.resolve()
     return f"{folder.parent.name}/{re.sub(r'_[0-9]+$', '', folder.name)}"
 
 
 def source_of(runs: Sequence[Run]) -> str:
-    """Evaluations where all runs have them, else training episodes."""
+    """Choose evaluations if all runs have them, else training episodes."""
     return "eval" if all(run.curves["eval"] for run in runs) else "rollout"
 
 
 def compared(groups: Mapping[str, Sequence[Run]], goal: Goal | None, source: str) -> dict[str, Numbers]:
-    """The numbers of every group, compared with the first one; all are cut to the shortest run."""
+    """Return the results of every group, compared with the first. All runs are cut to the shortest."""
     everything = [run for runs in groups.values() for run in runs]
     limit = budget(everything, source)
     first: FloatArray | None = None
@@ -234,32 +234,32 @@ def compared(groups: Mapping[str, Sequence[Run]], goal: Goal | None, source: str
 
 
 def measures_of(runs: Sequence[Run], source: str) -> list[Measure]:
-    """What all runs logged."""
+    """Return the measures that all runs logged."""
     return [m for m in UNITS if all(m in run.curves[source] for run in runs)]
 
 
 def budget(runs: Sequence[Run], source: str) -> float:
-    """Primitive steps of the shortest run."""
+    """Return the primitive steps of the shortest run."""
     return min(float(curve.steps[-1]) for run in runs for curve in run.curves[source].values())
 
 
 def cut(curve: Curve, limit: float) -> Curve:
-    """A curve up to some primitive steps, with its first entry in any case."""
+    """Cut a curve at ``limit`` primitive steps, but keep at least its first entry."""
     n = max(1, int(np.searchsorted(curve.steps, limit, side="right")))
     return Curve(*(column[:n] for column in curve))
 
 
 def at_the_end(curve: Curve, limit: float) -> float:
-    """The mean over the last tenth of ``limit`` primitive steps."""
+    """Return the mean over the last tenth of ``limit`` primitive steps."""
     last = curve.values[curve.steps >= (1.0 - END) * limit]
     return float(last.mean() if len(last) else curve.values[-1])
 
 
 def table_of(numbers: Mapping[str, Numbers]) -> Table:
-    """A column for every group; a single run has no intervals."""
+    """Make a table with a column for every group; a single run has no intervals."""
     table = Table(caption=CAPTION if any(of["runs"] != 1 for of in numbers.values()) else None)
     for name in ("", *numbers):
-        table.add_column(name, overflow="fold")  # the ends of names tell them apart
+        table.add_column(name, overflow="fold")  # names differ at their ends
     for row in next(iter(numbers.values())):
         cells = []
         for of in numbers.values():
@@ -273,7 +273,7 @@ def table_of(numbers: Mapping[str, Numbers]) -> Table:
 
 
 def figure_of(groups: Mapping[str, Sequence[Run]], source: str) -> Figure:
-    """Each measure over primitive steps: interquartile means with 95 % bootstrap bands."""
+    """Draw each measure over primitive steps: interquartile means with 95 % bootstrap bands."""
     everything = [run for runs in groups.values() for run in runs]
     limit = budget(everything, source)
     measures = measures_of(everything, source)

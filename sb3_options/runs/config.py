@@ -1,7 +1,7 @@
 """The settings of a training run: one class, its defaults, and files of settings.
 
-Nothing here imports torch or Stable-Baselines3, so the help is shown at once. `algorithms` checks what belongs to
-SB3's classes.
+Nothing here imports torch or Stable-Baselines3, so the help appears at once. `algorithms` checks the arguments of SB3's
+classes.
 """
 
 from __future__ import annotations
@@ -34,32 +34,32 @@ ALGORITHMS = {
     "qrdqn": ("sb3_contrib", "QRDQN"),
     "optiondqn": ("sb3_options.learning.dqn", "OptionDQN"),
 }
-"""Module and class of each algorithm. The first is the default: its options run in their initiation sets only."""
+"""Module and class of each algorithm. The first is the default: it starts options only in their initiation sets."""
 
 CLONING = ("maskableppo", "ppo", "a2c", "trpo")
 """Algorithms whose policy can be cloned from demonstrations."""
 
 CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003}
-"""Arguments for a cloned policy: a bonus for entropy or large updates would undo it."""
+"""Arguments for a cloned policy: an entropy bonus or large updates would undo the cloning."""
 
 OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
 MAX_SEED = 2**32 - 1
-"""NumPy's generators, which SB3 seeds, take no larger one."""
+"""Largest seed that NumPy's generators, which SB3 seeds, accept."""
 
 MAX_ENVS = 10_000
 MAX_OPTIONS = 10_000
-"""More than any run has. A larger number in a stranger's file would only use up memory."""
+"""Limits above the needs of any run. Larger numbers in a stranger's file would only use up memory."""
 
 IMPORTING = {"env": "environment", "env_wrapper": "wrapper", "feature_map": "feature map"}
-"""Settings that may import a module, and what each is: only the command line is trusted with them."""
+"""Settings that may import a module, and their meanings. Only the command line is trusted with them."""
 
 Natural: TypeAlias = Annotated[int, Field(ge=0)]
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 
 
 def _named_rule(text: str) -> str:
-    """The text of ``--success``, which must name a rule."""
+    """Check that the text of ``--success`` names a rule."""
     success_rule(text)
     return text
 
@@ -127,34 +127,34 @@ class TrainConfig:
 
 FIELDS = {f.name: f for f in dataclasses.fields(TrainConfig)}
 GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings, "usefulness": UsefulnessSettings}
-"""The settings that are classes of settings themselves."""
+"""Settings that are classes of settings themselves."""
 
 SETTINGS = (*(f"{group}.{f.name}" for group, of in GROUPS.items() for f in dataclasses.fields(of)), *FIELDS)
-"""The whole names of all settings."""
+"""Full names of all settings."""
 
 HOW_IT_RAN = frozenset({"checkpoint_freq", "progress", "tensorboard_log", "vec_env"})
 """Settings without effect on learning."""
 
 ARGUMENT = "algo_kwargs."
-"""How the whole names of an algorithm's arguments begin."""
+"""Prefix of the full names of an algorithm's arguments."""
 
 SIMILAR = 0.7
-"""Least similarity of `difflib` for a word that may be meant: ``sac`` is not ``a2c``."""
+"""Minimum similarity of `difflib` for a suggested word: ``sac`` is not ``a2c``."""
 
 CONFIG = "config.yml"
-"""File of the settings in a run folder."""
+"""Settings file in a run folder."""
 
 OWN = ("algo", "algo_kwargs", "n_envs")
-"""What a file says of its own algorithm only."""
+"""Settings that a file gives for its own algorithm only."""
 
 
 def configure(**values: Any) -> TrainConfig:
-    """The configuration with these settings; the others have the defaults of environment and algorithm."""
+    """Make a configuration of these settings, and of the environment's and algorithm's defaults for the rest."""
     return build(values, "settings")
 
 
 def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
-    """As `configure` does; an error begins with ``source``, and names may have hyphens, or dots before a group's."""
+    """Make a configuration, as `configure`. Errors begin with ``source``; names may have hyphens or a group's dot."""
     try:
         given = _flat(values)
         of_env = _flat(_tuned(str(given.get("env", TrainConfig.env))))
@@ -164,7 +164,7 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
         for names, block in shipped("defaults.yml").items():
             if algo in names.split():
                 defaults |= _flat(block)
-        # An environment's settings may name arguments of another algorithm.
+        # The environment's settings may name arguments of another algorithm.
         defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
         if algo in CLONING and given.get("demonstrations") and given.get("clone", True):
             defaults |= {name: value for name, value in _flat(CLONED).items() if name in defaults}
@@ -180,7 +180,7 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
 
 
 def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings by their whole names: ``gamma``, ``discovery.decay``, ``algo_kwargs.n_steps``."""
+    """Return settings by full names: ``gamma``, ``discovery.decay``, ``algo_kwargs.n_steps``."""
     flat: dict[str, Any] = {}
     for spelling, value in values.items():
         name = str(spelling).replace("-", "_")
@@ -198,7 +198,7 @@ def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings by the names of `TrainConfig`; a group that is an object counts whole."""
+    """Return settings by the names of `TrainConfig`. A group given as an object replaces its parts."""
     fields = {name: value for name, value in flat.items() if name in FIELDS}
     for group in (*GROUPS, "algo_kwargs"):
         part = {name.removeprefix(f"{group}."): v for name, v in flat.items() if name.startswith(f"{group}.")}
@@ -207,7 +207,7 @@ def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_layers(before: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of the algorithm, later ones in the place of earlier ones; ``net_arch`` is one of policy_kwargs."""
+    """Merge arguments of the algorithm, later ones over earlier ones; ``net_arch`` goes into policy_kwargs."""
     both = {**before, **later}
     policy: dict[str, Any] = {}
     for each in (before, later):
@@ -218,7 +218,7 @@ def _with_layers(before: Mapping[str, Any], later: Mapping[str, Any]) -> dict[st
 
 
 def _tuned(env_id: str) -> dict[str, Any]:
-    """The settings that ship for an environment."""
+    """Return the shipped settings for an environment."""
     if env_id.removeprefix("minigrid:").startswith(("MiniGrid-", "BabyAI-")):  # MiniGrid's own test is slow to import
         return shipped("tuned/minigrid.yml")
     return shipped("tuned/pioneer.yml") if env_id.startswith("sb3_options/Pioneer") else {}
@@ -226,12 +226,12 @@ def _tuned(env_id: str) -> dict[str, Any]:
 
 @cache
 def shipped(file: str) -> dict[str, Any]:
-    """A file of settings that comes with the library."""
+    """Read a settings file that ships with the library."""
     return yaml_file.read_mapping(Path(__file__).parent / file)
 
 
 def check_algo(algo: str, commands: Iterable[str] = ()) -> None:
-    """Refuse the name of no algorithm, which may be a mistyped command."""
+    """Refuse an unknown algorithm, which may be a mistyped command."""
     if algo not in ALGORITHMS:
         hint = near(algo, {name: name for name in (*ALGORITHMS, *commands)})
         names = ", ".join(ALGORITHMS)
@@ -239,19 +239,19 @@ def check_algo(algo: str, commands: Iterable[str] = ()) -> None:
 
 
 def unknown(name: str, arguments: Iterable[str] = ()) -> str:
-    """What to say of an unknown setting, with the nearest one."""
+    """Return the message for an unknown setting, with the nearest known one."""
     known = {each.rpartition(".")[2]: each for each in (*SETTINGS, *arguments)}
     return f"there is no setting {name!r}.{near(name.rpartition('.')[2], known)}"
 
 
 def near(word: str, known: Mapping[str, str]) -> str:
-    """A question that names what is meant by a word that is nearly one of those known."""
+    """Return a question that suggests a similar known word; empty if there is none."""
     found = difflib.get_close_matches(word, known, n=1, cutoff=SIMILAR)
     return f" Did you mean {known[found[0]]!r}?" if found else ""
 
 
 def load(path: Path, trusted: Mapping[str, str | None] | None = None) -> TrainConfig:
-    """The configuration that `save` wrote."""
+    """Read a configuration that `save` wrote."""
     return build(read(path, trusted), path)
 
 
@@ -261,27 +261,27 @@ def save(config: TrainConfig, path: Path) -> None:
 
 
 def as_values(config: TrainConfig) -> dict[str, Any]:
-    """All settings by name, as JSON has values."""
+    """Return all settings by name, as JSON values."""
     return dict(TypeAdapter(TrainConfig).dump_python(config, mode="json"))
 
 
 def read(path: Path, trusted: Mapping[str, str | None] | None = None) -> dict[str, Any]:
-    """The settings in a file, not checked yet; ``trusted`` are those of `IMPORTING` that the command line names."""
+    """Read settings from a file, unchecked; ``trusted`` are `IMPORTING` settings from the command line."""
     values = {str(name).replace("-", "_"): value for name, value in yaml_file.read_mapping(path).items()}
     return with_trusted(values, trusted or {}, path)
 
 
 def importing(values: Mapping[str, Any]) -> dict[str, str]:
-    """Those of the settings ``values`` that would import a module, by name."""
+    """Return the settings in ``values`` that would import a module, by name."""
     texts = {name: str(values.get(name) or "") for name in IMPORTING}
     if texts["feature_map"] == LEARNED:
-        del texts["feature_map"]  # one that is learned
+        del texts["feature_map"]  # learned, not imported
     # GymV21Environment and GymV26Environment make what their env_id names.
     return {n: t for n, t in texts.items() if (":" in t or t.startswith("GymV") if n == "env" else t)}
 
 
 def with_trusted(values: Mapping[str, Any], trusted: Mapping[str, str | None], source: str | Path) -> dict[str, Any]:
-    """Settings of a file, with those that the command line names in their place."""
+    """Replace settings of a file by trusted ones; refuse others that would import a module."""
     named = {name: value for name, value in trusted.items() if value is not None}
     for name, text in importing(values).items():
         if name not in named:
@@ -293,11 +293,11 @@ def with_trusted(values: Mapping[str, Any], trusted: Mapping[str, str | None], s
 
 
 def flag(name: str) -> str:
-    """How the command line spells a setting."""
+    """Spell a setting as on the command line."""
     return f"--{name.replace('_', '-')}"
 
 
 def program() -> str:
-    """What to type before a command: ``sb3-options``, ``python -m sb3_options`` or ``python train.py``."""
+    """Return the words before a command: ``sb3-options``, ``python -m sb3_options`` or ``python train.py``."""
     name = Path(sys.argv[0]).name
     return {"sb3-options": name, "__main__.py": "python -m sb3_options"}.get(name, "python train.py")

@@ -29,29 +29,29 @@ from sb3_options.runs.training import discovery_callback
 from sb3_options.runs.video import RecordFrames, captioned, write_beside
 
 LEARNED = 0.9
-"""Success rate of two evaluations in a row from which on an agent has learned the task."""
+"""An agent has learned the task when two evaluations in a row reach this success rate."""
 
 EVALUATION_EPISODES = 20
 FILM_EPISODES = 3
 FILM_FPS = 12.0
 
 Result: TypeAlias = dict[str, Any]
-"""One training in the target, as ``demo.json`` has it."""
+"""One training in the target, as in ``demo.json``."""
 
 WITH, WITHOUT = "with the option", "without"
 COLOURS = {WITH: "#d62728", WITHOUT: "0.45"}
 
 
 class Claim(NamedTuple):
-    """A pair of tasks that share a bottleneck: options are discovered in the source, and used in the target.
+    """A pair of tasks with a common bottleneck: options are discovered in the source and used in the target.
 
     Attributes:
-        first: What happens in the source, for people.
-        second: What happens in the target.
+        first: Description of the source, for people.
+        second: Description of the target.
         source: Settings of the first task.
         target: Settings of the second task.
         evaluate_every: Primitive steps between evaluations.
-        cells: Columns and rows of the map, in which subgoals are marked; None where every episode has another map.
+        cells: Columns and rows of the map, in which subgoals are marked; None if the map changes every episode.
     """
 
     first: str
@@ -95,7 +95,7 @@ def show_demo(config: DemoConfig, console: Console) -> None:
 
 
 class _Evaluations(MaskableEvalCallback):
-    """Plays greedy episodes, the same ones each time, and ends training once the task is learned."""
+    """Plays the same greedy episodes each time, and ends training once the task is learned."""
 
     def __init__(self, eval_env: VecEnv, seed: int) -> None:
         super().__init__(eval_env, n_eval_episodes=EVALUATION_EPISODES, eval_freq=1, verbose=0)
@@ -111,18 +111,18 @@ class _Evaluations(MaskableEvalCallback):
         return self.learned() is None
 
     def learned(self) -> int | None:
-        """Primitive steps after which the task was learned; None if it was not."""
+        """Return the primitive steps after which the task was learned, or None."""
         first = learned_at([rate >= LEARNED for rate in self.success])
         return None if first is None else self.steps[first]
 
 
 def _target(claim: Claim, seed: int, options: Path | None) -> TrainConfig:
-    """The settings that ``sb3-options train`` has by default, with the options of a file or with none."""
+    """Return the default settings of ``sb3-options train``, with the options of a file or without options."""
     return configure(algo="maskableppo", **claim.target, seed=seed, options=options, max_new_options=0)
 
 
 def _discover(claim: Claim, seed: int, options: Path, *, progress: bool) -> list[DiscoveredOption]:
-    """Train in the source, and save the options that were discovered."""
+    """Train in the source, and save the discovered options."""
     config = configure(algo="maskableppo", **claim.source, seed=seed)
     with closing(make_env(config, config.n_envs, seed)) as env:
         discovery = discovery_callback(config)
@@ -132,7 +132,7 @@ def _discover(claim: Claim, seed: int, options: Path, *, progress: bool) -> list
 
 
 def _learn(claim: Claim, seed: int, options: Path | None, *, progress: bool) -> tuple[BaseAlgorithm, Result]:
-    """Train in the target until it is learned: the agent, and the steps and success rates of the evaluations."""
+    """Train in the target until it is learned. Return the agent, and steps and success rates of evaluations."""
     config = _target(claim, seed, options)
     with (
         closing(make_env(config, config.n_envs, seed)) as env,
@@ -146,7 +146,7 @@ def _learn(claim: Claim, seed: int, options: Path | None, *, progress: bool) -> 
 
 
 def _play(claim: Claim, seed: int, options: Path | None = None, model: BaseAlgorithm | None = None) -> list[Any]:
-    """The pictures of greedy episodes in the target; without an agent, of how the first begins."""
+    """Return pictures of greedy episodes in the target; without an agent, of the first start."""
     pictures: list[Any] = []
 
     def record(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
@@ -163,7 +163,7 @@ def _play(claim: Claim, seed: int, options: Path | None = None, model: BaseAlgor
 
 
 def table_of(results: Sequence[Result]) -> Table:
-    """Primitive steps until the task is learned, a row for each seed."""
+    """Make a table of primitive steps until the task is learned, with a row for each seed."""
     table = Table("seed", "subgoals discovered", *COLOURS, title="Primitive steps until 90 % of the episodes succeed")
     texts = [
         f"not within {each['steps'][-1]:,} (success rate {each['success'][-1]:.0%})"
@@ -177,12 +177,12 @@ def table_of(results: Sequence[Result]) -> Table:
 
 
 def figure_of(results: Sequence[Result], claim: Claim, options: Sequence[DiscoveredOption], task: Any) -> Figure:
-    """The learning curves, thin for each seed and thick for their mean, beside a picture of the target.
+    """Draw learning curves, thin for each seed and thick for their mean, beside a picture of the target.
 
     Args:
         results: The trainings of both arms.
-        claim: Their tasks.
-        options: Their subgoals are marked.
+        claim: The pair of tasks.
+        options: Options whose subgoals are marked.
         task: A picture of the target, (height, width, 3).
     """
     figure = Figure(figsize=(10.0, 3.4), layout="compressed")
@@ -199,7 +199,7 @@ def figure_of(results: Sequence[Result], claim: Claim, options: Sequence[Discove
     longest = claim.target["n_timesteps"]
     grid = np.linspace(0, longest, 61)
     for arm, colour in COLOURS.items():
-        # Training ends once the task is learned; the last success rate stands for the rest.
+        # Training ends once the task is learned, so the last success rate stands for the rest.
         own = [each for each in results if each["arm"] == arm]
         curves = [np.interp(grid, [0, *each["steps"]], [0.0, *each["success"]]) for each in own]
         for curve in curves:

@@ -1,4 +1,4 @@
-"""Evaluating a run: returns, success and primitive steps of greedy episodes."""
+"""Evaluates a run by return, success and primitive steps of greedy episodes."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from sb3_options.runs.intervals import Interval, mean_interval, share_interval
 from sb3_options.runs.video import RecordFrames, render_mode_of, video_file
 
 VIDEO_EPISODES = 10
-"""A video shows this many episodes at most."""
+"""Maximum number of episodes in a video."""
 
 
 class Evaluation(NamedTuple):
-    """Undiscounted return, share of successes and primitive steps of an episode, over ``episodes`` of them."""
+    """Undiscounted return, success rate and primitive steps per episode, over ``episodes`` episodes."""
 
     episodes: int
     mean_return: Interval
@@ -67,8 +67,8 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
     asked = EvaluateConfig(run, **settings)
     model = runs.BEST if asked.best else runs.MODEL
     for name in (runs.CONFIG, model, runs.OPTIONS):
-        (run / name).stat()  # a file that is missing is named before an environment is made
-    # What the run started with is in its own options file, too.
+        (run / name).stat()  # a missing file is named before an environment is made
+    # The run's own options file also holds the options that it started with.
     config = replace(configs.load(run / runs.CONFIG, asked.trusted()), options=None)
     cameras: list[RecordFrames] = []
     with ExitStack() as stack:
@@ -91,12 +91,12 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
 def _play(saved: Path, config: TrainConfig, venv: VecEnv, asked: EvaluateConfig) -> Evaluation:
     """Play a saved model in an environment."""
     model = make_model(config, venv, playing=True)
-    venv.seed(asked.seed)  # the model has seeded it with the training seed
+    venv.seed(asked.seed)  # the model has set the training seed
     # set_parameters reads tensors only, where load would unpickle.
     try:
         model.set_parameters(str(saved), device=model.device)
     except (RuntimeError, ValueError, UnpicklingError) as error:
-        # torch has a heading, and a line for every array.
+        # torch's message has a heading, and a line for every array.
         first: object = next((line.strip() for line in str(error).splitlines() if line.startswith("\t")), error)
         if isinstance(error, UnpicklingError):
             first = "its weights are damaged, or hold Python objects, which are not read."
@@ -105,7 +105,7 @@ def _play(saved: Path, config: TrainConfig, venv: VecEnv, asked: EvaluateConfig)
     bank: OptionBank = venv.get_attr("bank")[0]
     bank.load(saved.with_name(runs.OPTIONS) if saved.name == runs.MODEL else saved)
     if not bank.filled:
-        venv.env_method("set_slots", expect_empty=True)  # the model has no others, so nothing is missing
+        venv.env_method("set_slots", expect_empty=True)  # the model has no options, so nothing is missing
     venv.env_method("set_slots", record=True)
     found: list[tuple[float, bool, float]] = []
     succeeded = success_rule(config.success)

@@ -41,11 +41,11 @@ MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
 
 LOCK = ".training"
-"""File in the run folder; it is removed when training ends."""
+"""Lock file in the run folder, removed when training ends."""
 
 
 def new_run_folder(config: TrainConfig) -> Path:
-    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``; clean those of killed runs."""
+    """Make the next free folder ``ALGO/ENV_N`` below ``tensorboard_log``; clean up after killed runs."""
     parent = config.tensorboard_log / config.algo
     parent.mkdir(parents=True, exist_ok=True)
     remove_stale(parent, "*/")
@@ -58,7 +58,7 @@ def new_run_folder(config: TrainConfig) -> Path:
 
 
 def discard(folder: Path) -> None:
-    """Remove a run folder that nothing was trained in, and the folders above that it leaves empty."""
+    """Remove the folder of an untrained run, and the folders above that become empty."""
     shutil.rmtree(folder)
     with suppress(OSError):  # there are other runs
         folder.parent.rmdir()
@@ -67,7 +67,7 @@ def discard(folder: Path) -> None:
 
 @contextmanager
 def held(run: Path) -> Iterator[None]:
-    """Keep other processes from writing to a folder. A process that is killed keeps none from it any more."""
+    """Keep other processes from writing to a folder. A killed process releases the folder."""
     with os.fdopen(os.open(run / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -82,7 +82,7 @@ def held(run: Path) -> Iterator[None]:
 
 
 def named(text: str, source: str) -> Callable[..., Any]:
-    """What ``module:name`` names, of a user's module. The current folder is not searched."""
+    """Import ``module:name`` from a user's module. The current folder is not searched."""
     module, _, name = text.partition(":")
     found: Any = getattr(importlib.import_module(module), name, None) if module and name else None
     if not callable(found):
@@ -91,7 +91,7 @@ def named(text: str, source: str) -> Callable[..., Any]:
 
 
 def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
-    """Save options and model, each whole or not at all; where there is no room, older checkpoints make room."""
+    """Save options and model, each completely or not at all. If the disk is full, remove older checkpoints."""
     try:
         bank.save(folder / OPTIONS)
     finally:
@@ -103,8 +103,8 @@ def save(model: BaseAlgorithm, bank: OptionBank, folder: Path) -> None:
 
 
 def save_whole(model: BaseAlgorithm, path: Path) -> None:
-    """Replace a ``model.zip`` when all of it is written."""
-    with atomic_write(path) as temporary, temporary.open("wb") as file:  # SB3 leaves its own open where a disk is full
+    """Replace a ``model.zip`` once it is completely written."""
+    with atomic_write(path) as temporary, temporary.open("wb") as file:  # SB3 leaves its own open on a full disk
         model.save(file)
 
 
@@ -119,19 +119,19 @@ def make_env(
     vec_env: Literal["dummy", "subproc", "ray"] = "dummy",
     max_steps: int | None = None,
 ) -> VecEnv:
-    """Environments with option slots, and a ``Monitor`` beneath these, so that it counts primitive steps.
+    """Make environments with option slots, and a ``Monitor`` beneath them that counts primitive steps.
 
-    The slots start with the options of ``--options``. An environment of MiniGrid gets a `MiniGridWrapper`, unless
-    ``--env-wrapper`` names another. An episode ends after ``max_steps`` where the id has no limit.
+    The slots start with the options of ``--options``. A MiniGrid environment gets a `MiniGridWrapper`, unless
+    ``--env-wrapper`` names another. An episode ends after ``max_steps`` if the id has no limit.
     """
     wrapper = None if config.env_wrapper is None else named(config.env_wrapper, "--env-wrapper")
     of_minigrid = minigrid.is_minigrid(config.env)
     env_id = config.env
     if of_minigrid:
         minigrid.require()
-        env_id = minigrid.qualified(env_id)  # nobody has registered it in a worker
+        env_id = minigrid.qualified(env_id)  # a worker has not registered it
     elif env_id.startswith("sb3_options/"):
-        env_id = f"sb3_options.envs:{env_id}"  # nobody has registered it there, either
+        env_id = f"sb3_options.envs:{env_id}"  # nor this one
 
     def made(**kwargs: Any) -> gym.Env[Any, Any]:
         if of_minigrid and wrapper is None:
@@ -139,7 +139,7 @@ def make_env(
         else:
             env = gym.make(env_id, **kwargs)
             env = env if wrapper is None else wrapper(env)
-        # Beneath the Monitor, for SB3 counts the episodes that a Monitor reports.
+        # Beneath the Monitor, because SB3 counts the episodes that a Monitor reports.
         unlimited = env.spec is None or env.spec.max_episode_steps is None
         return gym.wrappers.TimeLimit(env, max_steps) if max_steps and unlimited else env
 
@@ -172,19 +172,19 @@ def make_env(
         env_kwargs=config.env_kwargs | ({} if render_mode is None else {"render_mode": render_mode}),
         wrapper_class=with_options,
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
-        monitor_kwargs={"override_existing": False},  # a run that resumes, and an actor of Ray that starts anew, go on
+        monitor_kwargs={"override_existing": False},  # a resumed run or a restarted Ray actor appends
         vec_env_cls=classes[vec_env],  # type: ignore[arg-type]  # it makes one, too
     )
 
 
 def ignore_interrupts() -> None:
-    """Let a worker process outlive what its terminal sends, so that its parent can save; the parent ends it."""
+    """Let a worker process survive signals of its terminal, so that its parent can save and then end it."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
 
 
 def _begin_monitors(folder: Path, n_envs: int, env_id: str) -> None:
-    """Write the heads of new files of ``Monitor``: one that appends writes none."""
+    """Write the headers of new ``Monitor`` files: a ``Monitor`` that appends writes none."""
     folder.mkdir(parents=True, exist_ok=True)
     for i in range(n_envs):
         path = folder / f"{i}.{Monitor.EXT}"

@@ -1,4 +1,4 @@
-"""What came out of a run: the tables at the end of training, and the options of a file."""
+"""Reports of a run: the tables at the end of training, and the options of a file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HEADINGS = ("slot", "option", "subgoal", "found after primitive steps", "initiat
 
 
 class Trained(NamedTuple):
-    """What is left of one training; ``signal`` is that of an interrupt. Without a step taken, the folder is gone."""
+    """The result of one training; ``signal`` is the number of an interrupt. Without a step, the folder is gone."""
 
     config: TrainConfig
     folder: Path
@@ -38,7 +38,7 @@ class Trained(NamedTuple):
 
 
 def option_rows(file: option_file.OptionsFile, found: Mapping[int, int] | None = None) -> list[list[str]]:
-    """A row of `HEADINGS` for every option; ``found`` has the primitive steps of discovery by slot, if known."""
+    """Return a row of `HEADINGS` per option; ``found`` has the primitive steps of discovery by slot, if known."""
     features = file.made_for.features if file.made_for else None
     options: dict[int, SubgoalOption | str] = {**file.hand_made, **file.options()}
     rows = []
@@ -77,7 +77,7 @@ def show_options(config: InspectConfig, console: Console) -> None:
 
 
 def closing_report(console: Console, trained: Trained, *, draws: bool) -> None:
-    """Print what training found and how it went, and what follows."""
+    """Print the options found, the results of training, and the next commands."""
     config, folder, discovery, finished, _ = trained
     unit = "episodes" if config.discovery.segmentation == "episodes" else "segments"
     steps = f"{discovery.num_timesteps:,} primitive steps, {discovery.episodes:,} {unit}"
@@ -114,7 +114,7 @@ def _table(headings: Iterable[str], rows: Iterable[Sequence[str]]) -> Table:
 
 
 def how_to_resume(config: TrainConfig, folder: Path) -> str:
-    """The command that goes on from a run's last checkpoint; empty where there is none."""
+    """Return the command that resumes from a run's last checkpoint; empty without one."""
     if not any(CheckpointFolder(folder / runs.CHECKPOINTS)):
         return ""
     path = shlex.quote(min(str(folder), os.path.relpath(folder), key=len))
@@ -122,5 +122,5 @@ def how_to_resume(config: TrainConfig, folder: Path) -> str:
 
 
 def _importing(config: TrainConfig) -> str:
-    """The flags that import a module, which are named anew: the file of a run is not trusted with it."""
+    """Return the flags that import a module. They must be passed again: a run's file is not trusted with them."""
     return "".join(f" {flag(n)} {shlex.quote(t)}" for n, t in importing(vars(config)).items())

@@ -1,4 +1,4 @@
-"""Training a run, and going on with one that was cut off."""
+"""Trains a run, or resumes an interrupted one."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ from sb3_options.runs.report import Trained, closing_report, how_to_resume
 from sb3_options.runs.video import mode_among
 
 FINISHED = f"{runs.CHECKPOINTS}/finished.yml"
-"""File in a run folder whose training has come to its end."""
+"""File that marks a run folder whose training is complete."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 PATIENCE = 5.0
-"""Seconds for which training goes on to where a checkpoint can be written; Docker kills 10 s after SIGTERM."""
+"""Seconds for training to reach a point where it can write a checkpoint. Docker kills 10 s after SIGTERM."""
 
 EVAL_STEPS = 1_000
-"""Primitive steps of an episode of an evaluation, where the id of the environment has no limit."""
+"""Maximum primitive steps of an evaluation episode, if the environment id has no limit."""
 
 
 class Interrupts:
-    """Takes `SIGNALS` while its ``with`` block runs.
+    """Handles `SIGNALS` while its ``with`` block runs.
 
-    Python raises `KeyboardInterrupt` wherever the program is, and there are places that lose it: SB3's
-    ``DummyVecEnv.step`` deep-copies an ``OrderedDict``, in which ``copyreg`` takes any exception for a missing
-    attribute. So the first signal is only noted, a second one raises, and while something is saved none does. SIGINT is
-    taken even where it was ignored, as in background processes of a script; SIGHUP is left to ``nohup``.
+    Python raises `KeyboardInterrupt` anywhere in the program, and some code loses it. SB3's ``DummyVecEnv.step``
+    deep-copies an ``OrderedDict``, where ``copyreg`` takes any exception for a missing attribute. So the first signal
+    is only noted, and a second one raises. No signal raises during saving. SIGINT is handled even if it was ignored, as
+    in background processes of a script. SIGHUP is left to ``nohup``.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class Interrupts:
             signal.signal(number, before)
 
     def was_sent(self) -> bool:
-        """Whether training is to end where a checkpoint can be written."""
+        """Whether training is to end once it can write a checkpoint."""
         return self.signal is not None
 
     def due(self) -> bool:
@@ -92,14 +92,14 @@ class Interrupts:
             raise KeyboardInterrupt
         self._at = time.monotonic()
         self.signal = number
-        with suppress(OSError):  # no print: the signal may have come in the middle of one, and the terminal may be gone
+        with suppress(OSError):  # no print: the signal may interrupt one, and the terminal may be gone
             os.write(2, b"\nInterrupted: training ends soon and is saved. Once more to end it at once.\n")
 
 
 class _RuledEvalCallback(EvalCallback):
-    """Logs success by the run's rule; None is the environment's own."""
+    """Logs success by the run's rule; None means the environment's own."""
 
-    remembers_nothing = True  # more than EvalCallback does, from one evaluation to the next
+    remembers_nothing = True  # between evaluations, beyond EvalCallback's own memory
     rule: SuccessRule | None = None
 
     def _init_callback(self) -> None:
@@ -112,7 +112,7 @@ class _RuledEvalCallback(EvalCallback):
 
     def _log_success_callback(self, locals_: dict[str, Any], globals_: dict[str, Any]) -> None:
         info = locals_["info"]
-        with suppress(ValueError):  # the environment reports no truth value, which training says
+        with suppress(ValueError):  # the environment reports no Boolean; training says so
             if self.rule is not None and "trajectory" in info:
                 trajectory = info.pop("trajectory")
                 logged = self._is_success_buffer
@@ -124,19 +124,19 @@ class _RuledEvalCallback(EvalCallback):
 
 
 def train(config: TrainConfig, console: Console | None = None, *, resumed: Path | None = None) -> Trained:
-    """Train, and leave a run folder, or go on with a run.
+    """Train in a new run folder, or resume a run.
 
-    An interrupt or an error ends training early, and what was learned is kept. Before the first step nothing is kept,
-    and no folder is left.
+    After an interrupt or an error, the result so far is kept. Before the first step nothing is kept, not even the
+    folder.
     """
     console = console or Console(highlight=False, soft_wrap=True)
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # small networks are fastest with one
-    class_of(config.algo)  # an algorithm that is not installed leaves no folder
+    class_of(config.algo)  # a missing algorithm leaves no folder
     with Interrupts() as interrupts:
         discovery = discovery_callback(config, verbose=1)
         with closing(runs.make_env(config, 1, config.seed)) as env:  # an error leaves no folder
-            get_obs_shape(env.observation_space)  # refuses what SB3 cannot learn from
+            get_obs_shape(env.observation_space)  # refuses observations that SB3 does not support
             draws = mode_among(env.get_attr("metadata")[0]) is not None
         folder = resumed or runs.new_run_folder(config)
         discovery.save_path = folder / runs.OPTIONS
@@ -147,7 +147,7 @@ def train(config: TrainConfig, console: Console | None = None, *, resumed: Path 
                 raise KeyboardInterrupt("before the first step: there is nothing to keep.")
             _draw(config, discovery, folder)
             if finished and (folder / runs.CHECKPOINTS).is_dir():
-                # Last: a process that was killed before does the end again.
+                # Last: a process killed before this point repeats the end.
                 yaml_file.write(folder / FINISHED, {"n_timesteps": config.n_timesteps})
     trained = Trained(config, folder, discovery, finished, interrupts.signal)
     closing_report(console, trained, draws=draws)
@@ -155,7 +155,7 @@ def train(config: TrainConfig, console: Console | None = None, *, resumed: Path 
 
 
 def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDiscoveryCallback:
-    """The callback that a run trains with."""
+    """Make the discovery callback of a run."""
     return SubgoalDiscoveryCallback(
         config.discovery,
         config.option,
@@ -169,13 +169,13 @@ def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDisco
 
 
 def resume(resumed: ResumeConfig, console: Console) -> Trained | None:
-    """Go on with a run. A finished run is left as it is."""
+    """Resume a run. A finished run stays unchanged."""
     run = resumed.run
     with held(run):
         _refuse_links(run)
         config = configs.load(run / runs.CONFIG, resumed.trusted())
         total = max(resumed.n_timesteps or 0, config.n_timesteps)
-        # The options that it started with are in the checkpoint.
+        # The checkpoint holds the options that the run started with.
         config = dataclasses.replace(config, n_timesteps=total, options=None, progress=resumed.progress)
         if not is_finished(config, run):
             return train(config, console, resumed=run)
@@ -185,7 +185,7 @@ def resume(resumed: ResumeConfig, console: Console) -> Trained | None:
 
 
 def _refuse_links(run: Path) -> None:
-    """Keep what training writes and removes inside the run folder, which a stranger may have made."""
+    """Refuse links, so that training changes only the run folder, which a stranger may have made."""
     for path in run.rglob("*"):
         if path.is_symlink() or not (path.is_file() or path.is_dir()):
             raise ValueError(
@@ -195,7 +195,7 @@ def _refuse_links(run: Path) -> None:
 
 
 def is_finished(config: TrainConfig, run: Path) -> bool:
-    """Whether a run has trained for as long as its configuration says."""
+    """Whether a run has trained for its configured number of steps."""
     if not ((run / FINISHED).is_file() and (run / runs.MODEL).is_file()):
         return False
     trained = yaml_file.read_mapping(run / FINISHED).get("n_timesteps")
@@ -246,7 +246,7 @@ def _learn(
             console.print(
                 f"Training {config.algo.upper()} on {escape(config.env)} for {config.n_timesteps:,} primitive steps."
             )
-            # A model that was not trained yet counts from 0 all the same, but goes on in the same TensorBoard folder.
+            # An untrained model counts from 0 in any case, but a resumed one continues in the same TensorBoard folder.
             model.learn(
                 config.n_timesteps,
                 callbacks,
@@ -260,7 +260,7 @@ def _learn(
     except KeyboardInterrupt:
         interrupts.signal = interrupts.signal or signal.SIGINT
     except Exception as error:
-        # An interrupt that was sent to the worker processes, too, has ended them.
+        # An interrupt may also have reached the worker processes and ended them.
         if interrupts.signal is None or not isinstance(error, WorkerLostError | EOFError | ConnectionError):
             trained = model is not None and model.num_timesteps > 0
             if trained:
@@ -269,9 +269,9 @@ def _learn(
                 error.add_note(how_to_resume(config, folder))
             raise
     finally:
-        interrupts.saving = True  # before anything else: from now on no interrupt is raised
+        interrupts.saving = True  # first of all: from now on no interrupt is raised
         with ExitStack() as stack:
-            stack.enter_context(suppress(WorkerLostError))  # it is not needed any more
+            stack.enter_context(suppress(WorkerLostError))  # the worker is no longer needed
             for env in envs:
                 if finished:
                     stack.callback(env.close)
@@ -285,7 +285,7 @@ def _learn(
 
 
 def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv]) -> BaseCallback:
-    """The callback of ``--eval-freq``; its environment is added to ``envs``."""
+    """Make the callback of ``--eval-freq``, and add its environment to ``envs``."""
     env = runs.make_env(config, 1, EVAL_SEED + config.seed, vec_env=config.vec_env, max_steps=EVAL_STEPS)
     envs.append(env)
     of: type[_RuledEvalCallback] = _RuledEvalCallback
@@ -301,9 +301,9 @@ def _evaluation(config: TrainConfig, folder: Path, envs: list[VecEnv]) -> BaseCa
         best_model_save_path=str(folder),
         verbose=0,
     )
-    if config.discovery.segmentation == "episodes":  # a rule for segments says nothing of episodes
+    if config.discovery.segmentation == "episodes":  # a rule for segments does not apply to episodes
         callback.rule = success_rule(config.success)
-    # EvalCallback counts calls of step, of which one may be many primitive steps.
+    # EvalCallback counts calls of step, each of which may be many primitive steps.
     return EveryNTimesteps(config.eval_freq, callback)
 
 

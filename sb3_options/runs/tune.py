@@ -1,4 +1,4 @@
-"""Searching for settings with Optuna: TPE proposes, and every trial is trained on the same seeds."""
+"""Searches for settings with Optuna: TPE proposes, and every trial trains on the same seeds."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ LOG = "output.txt"
 
 
 class SearchSpace(NamedTuple):
-    """Settings that stay, and distributions of those that vary, by name; ``discovery.decay`` is one of a group."""
+    """Fixed settings and distributions of varied ones, by name, such as ``discovery.decay`` in a group."""
 
     file: Path
     base: dict[str, Any]
     search: dict[str, BaseDistribution]
 
     def config(self, proposed: Mapping[str, Any], seed: int, folder: Path) -> TrainConfig:
-        """The configuration of a run, whose run folder will be in ``folder``."""
+        """Return the configuration of a run, whose run folder will be in ``folder``."""
         read = {name: json.loads(v) if isinstance(v, str) else v for name, v in proposed.items()}
         own = {"seed": seed, "tensorboard_log": str(folder), "progress": False, "checkpoint_freq": 0}
         return configs.build({**self.base, **read, **own}, self.file)
 
 
 def read_space(path: Path, trusted: Mapping[str, str | None]) -> SearchSpace:
-    """A file with ``base`` and ``search``; ``trusted`` are settings of the command line that may import modules."""
+    """Read a file with ``base`` and ``search``; ``trusted`` settings of the command line may import modules."""
     content = yaml_file.read_mapping(path)
     base, search = content.get("base", {}), content.get("search")
     if not (content.keys() <= {"base", "search"} and isinstance(base, dict) and isinstance(search, dict) and search):
@@ -56,7 +56,7 @@ def read_space(path: Path, trusted: Mapping[str, str | None]) -> SearchSpace:
         raise ValueError(f"{path}: {min(fixed)} cannot be varied.")
     distributions = {name: _distribution(path, name, of) for name, of in search.items()}
     space = SearchSpace(path, configs.with_trusted(base, trusted, path), distributions)
-    for end in (0, -1):  # names and both ends are right
+    for end in (0, -1):  # check names and both ends
         ends = {
             n: d.choices[end] if isinstance(d, CategoricalDistribution) else (d.low, d.high)[end]
             for n, d in distributions.items()
@@ -77,7 +77,7 @@ def _distribution(path: Path, name: str, of: Any) -> Any:
 
 
 def tune(config: TuneConfig, console: Console) -> TrainConfig:
-    """Search, and leave ``best.yml``; the best configuration is returned."""
+    """Search, write ``best.yml``, and return the best configuration."""
     goal = Goal.parsed(config.reach)
     space = read_space(config.space, config.trusted())
     config.out.mkdir(parents=True, exist_ok=True)
@@ -101,7 +101,7 @@ def tune(config: TuneConfig, console: Console) -> TrainConfig:
 
 
 def _opened(folder: Path, job: int) -> optuna.Study:
-    """The search in a folder, or a new one. Each job draws other settings, and so does a search that goes on."""
+    """Open the search in a folder, or a new one. Each job and each continued search draws other settings."""
     storage = JournalStorage(JournalFileBackend(str(folder / JOURNAL)))
     study = optuna.create_study(storage=storage, study_name="settings", load_if_exists=True)
     study.sampler = optuna.samplers.TPESampler(seed=len(study.trials) + 10_000 * job, multivariate=True)
@@ -109,7 +109,7 @@ def _opened(folder: Path, job: int) -> optuna.Study:
 
 
 def _search(config: TuneConfig, space: SearchSpace, goal: Goal, job: int) -> None:
-    """Try one set of settings after another until there are enough; one of several processes may do so."""
+    """Try one set of settings after another until there are enough; several processes may do so at once."""
 
     def mean_score(trial: Trial) -> float:
         proposed = {name: trial._suggest(name, of) for name, of in space.search.items()}
@@ -123,7 +123,7 @@ def _search(config: TuneConfig, space: SearchSpace, goal: Goal, job: int) -> Non
 
 
 def score(run: TrainConfig, goal: Goal) -> float:
-    """Train once in a folder for this run alone. Logarithm of the primitive steps to the goal, or of all steps."""
+    """Train once, in a folder for this run alone. Return the log of the primitive steps to the goal, or of all."""
     run.tensorboard_log.mkdir(parents=True, exist_ok=True)
     log = (run.tensorboard_log / LOG).open("w", encoding="utf-8")
     with log, contextlib.redirect_stdout(log), contextlib.redirect_stderr(log):

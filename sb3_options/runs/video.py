@@ -25,22 +25,22 @@ CAPTION_MARGIN = (4, 2)
 """Pixels left and right of the text, and above it."""
 
 DEFAULT_FPS = 15
-"""Pictures per second where the environment does not say."""
+"""Pictures per second if the environment does not say."""
 
 GAP = 12
 """White pixels between two films."""
 
 MODES = ("rgb_array_list", "rgb_array")
-"""Render modes that give pictures; the first one gives every picture of a step."""
+"""Render modes that return pictures. The first returns every picture of a step."""
 
 GIF_PICTURES = 600
-"""Longest GIF: it is made in memory, and a browser holds it there."""
+"""Maximum pictures of a GIF, which is made in memory, and held there by a browser."""
 
 
 class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
-    """Hands over the pictures of every primitive step, those inside options too, of the first ``episodes`` episodes.
+    """Passes on pictures of every primitive step, also inside options, of the first ``episodes`` episodes.
 
-    ``caption`` gives the text below each picture; None writes nothing.
+    ``caption`` returns the text below each picture; None means no text.
     """
 
     def __init__(self, env: gym.Env[Any, Any], take: Callable[[Any], None], episodes: int) -> None:
@@ -50,7 +50,7 @@ class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
         self.caption: Callable[[], str] | None = None
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset, and record how the episode begins."""
+        """Reset, and record the start of the episode."""
         result = super().reset(**kwargs)
         self._record()
         return result
@@ -71,7 +71,7 @@ class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def captioned(picture: Any, text: str) -> npt.NDArray[np.uint8]:
-    """A picture, shape (height, width, 3), above a strip of `CAPTION_HEIGHT` rows with a text, cut to its width."""
+    """Add a strip of `CAPTION_HEIGHT` rows with a text, cut to fit, below a picture (height, width, 3)."""
     strip = Image.new("RGB", (picture.shape[1], CAPTION_HEIGHT), "white")
     draw = ImageDraw.Draw(strip)
     while len(text) > 1 and draw.textlength(text) > picture.shape[1] - 2 * CAPTION_MARGIN[0]:
@@ -82,11 +82,11 @@ def captioned(picture: Any, text: str) -> npt.NDArray[np.uint8]:
 
 @contextmanager
 def video_file(path: Path, fps: float) -> Iterator[Callable[[Any], None]]:
-    """Takes the pictures of an MP4 or GIF file, (height, width, 3) each; it is there, whole, once all are taken."""
+    """Write pictures (height, width, 3) to an MP4 or GIF file. The file appears once it is complete."""
     gif = path.suffix.lower() == ".gif"
     if gif:
         settings: dict[str, Any] = {"format": "GIF", "duration": 1000 / fps, "loop": 0}
-    else:  # the sides are padded below: macro_block_size would scale the picture instead
+    else:  # sides are padded below: macro_block_size would scale the picture instead
         settings = {"format": "FFMPEG", "fps": fps, "codec": "libx264", "pixelformat": "yuv420p", "macro_block_size": 1}
     taken = count()
     with atomic_write(path) as temporary, closing(imageio.get_writer(temporary, **settings)) as writer:
@@ -95,13 +95,13 @@ def video_file(path: Path, fps: float) -> Iterator[Callable[[Any], None]]:
             if next(taken) < GIF_PICTURES or not gif:
                 height, width = picture.shape[:2]
                 odd = ((0, height % 2), (0, width % 2), (0, 0))
-                writer.append_data(np.pad(picture, odd, mode="edge"))  # the codec takes even sides
+                writer.append_data(np.pad(picture, odd, mode="edge"))  # the codec needs even sides
 
         yield take
 
 
 def write_beside(path: Path, fps: float, sides: Sequence[Sequence[Any]]) -> None:
-    """Write films of equal height side by side; one that is over waits in its last picture."""
+    """Write films of equal height side by side; the shorter one repeats its last picture."""
     gap = np.full((sides[0][0].shape[0], GAP, 3), 255, dtype=np.uint8)
     with video_file(path, fps) as film:
         for i in range(max(map(len, sides))):
@@ -110,16 +110,16 @@ def write_beside(path: Path, fps: float, sides: Sequence[Sequence[Any]]) -> None
 
 
 def mode_among(metadata: Mapping[str, Any]) -> str | None:
-    """The render mode that shows most; None where an environment with this ``metadata`` draws no pictures."""
+    """Return the render mode that shows most; None if an environment with this ``metadata`` draws no pictures."""
     modes = metadata.get("render_modes") or ()
     return next((mode for mode in MODES if mode in modes), None)
 
 
 def render_mode_of(config: TrainConfig) -> tuple[str, float]:
-    """The render mode that shows most of an environment, and its pictures per second."""
+    """Return the render mode that shows most of an environment, and its pictures per second."""
     with closing(make_env(config, 1, 0)) as env:
         mode = mode_among(env.get_attr("metadata")[0])
     if mode is None:
         raise ValueError(f"{config.env} draws no pictures, for it has no render_mode 'rgb_array': leave --video out.")
-    with closing(make_env(config, 1, 0, render_mode=mode)) as env:  # pictures of a list may come faster
+    with closing(make_env(config, 1, 0, render_mode=mode)) as env:  # a list of pictures may have a higher rate
         return mode, float(env.get_attr("metadata")[0].get("render_fps", DEFAULT_FPS))

@@ -1,4 +1,4 @@
-"""YAML from anybody, read as values: it can run nothing, import nothing, and take no time to speak of."""
+"""Reads untrusted YAML as plain values: it can run nothing, import nothing, and takes little time."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ import yaml
 from sb3_options.atomic import atomic_write
 
 MAX_CHARACTERS = 100_000
-"""Longest text that is read; PyYAML takes about a second for it."""
+"""Maximum characters read. PyYAML takes about a second for them."""
 
 MAX_DEPTH = 20
-"""Deepest nesting that is read."""
+"""Maximum nesting."""
 
 SCIENTIFIC = re.compile(r"[-+]?[0-9][0-9_]*(\.[0-9_]*)?[eE][-+]?[0-9]+$")
-"""Numbers of YAML 1.2 that PyYAML, which follows 1.1, takes for texts: 1e4, 3e-4."""
+"""YAML 1.2 numbers that PyYAML, which follows 1.1, takes for text: 1e4, 3e-4."""
 
 
 class Loader(yaml.SafeLoader):
-    """PyYAML's safe loader, to which `SCIENTIFIC` numbers are numbers, and which takes a name once."""
+    """PyYAML's safe loader, which also reads `SCIENTIFIC` numbers, and refuses duplicate names."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """The values of a mapping by their names, of which none may be there twice."""
+        """Return the values of a mapping by name; refuse duplicate names."""
         keys = (key for key, _ in node.value if isinstance(key, yaml.ScalarNode))
         for (_, name), n in Counter((key.tag, key.value.replace("-", "_")) for key in keys).items():
             if n > 1:
@@ -35,7 +35,7 @@ class Loader(yaml.SafeLoader):
 
 
 class Dumper(yaml.SafeDumper):
-    """PyYAML's safe dumper, which puts texts that `Loader` would take for numbers in quotation marks."""
+    """PyYAML's safe dumper, which quotes text that `Loader` would take for numbers."""
 
 
 for each in (Loader, Dumper):
@@ -43,7 +43,7 @@ for each in (Loader, Dumper):
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """A YAML file with ``name: value`` lines at its top; an empty file holds none."""
+    """Read a YAML file of ``name: value`` lines; an empty file has none."""
     try:
         with path.open(encoding="utf-8") as file:
             content = parse(file.read(MAX_CHARACTERS + 1))
@@ -55,7 +55,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
 
 
 def parse(text: str) -> Any:
-    """Plain values; no tags, which choose how a value is made, and no aliases, of which a few stand for any number."""
+    """Parse plain values. Refuse tags, which choose how a value is made, and aliases, which multiply values."""
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"it has more than {MAX_CHARACTERS:,} characters.")
     depth = 0
@@ -72,11 +72,11 @@ def parse(text: str) -> Any:
 
 
 def write(path: Path, content: Mapping[str, Any]) -> None:
-    """Replace a YAML file when all of it is written."""
+    """Replace a YAML file once it is completely written."""
     with atomic_write(path) as temporary:
         temporary.write_text(dump(content, sort_keys=False), encoding="utf-8")
 
 
 def dump(content: Mapping[str, Any], *, sort_keys: bool = True) -> str:
-    """Values as YAML that `parse` reads back."""
+    """Return values as YAML that `parse` reads back."""
     return yaml.dump(content, Dumper=Dumper, sort_keys=sort_keys)

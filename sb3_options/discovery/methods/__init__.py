@@ -1,4 +1,4 @@
-"""Methods of discovery: from trajectories to proposals. Pure."""
+"""Methods of discovery: trajectories in, proposals out. Pure."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ METHODS: dict[MethodName, Callable[..., Method]] = {
     "relative-novelty": RelativeNovelty,
     "random": RandomPlaces,
 }
-"""Makes a method beside diverse density, by its name."""
+"""Constructors of the methods besides diverse density, by name."""
 
 
 def method_with(name: MethodName, given: DiscoveryMethod | None, *, grouped: bool, seed: int) -> Method:
-    """The given method, which may be a user's own, or the named one; ``seed`` is for ``random``."""
+    """Return the given method, which may be a user's own, or else the named one; ``random`` needs ``seed``."""
     if given is not None:
         return given if isinstance(given, Method) else OwnMethod(given)
     if name == "diverse-density":

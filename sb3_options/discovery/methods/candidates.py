@@ -13,10 +13,10 @@ from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.experience.observations import FloatArray, IntArray
 
 MAX_PLACES, MAX_NUMBERS = 20_000, 8_000_000
-"""As many places are remembered, and as many features of them, 64 MB; of places that come later nothing is known."""
+"""Limits on remembered places and on their features in total (64 MB). Later places are not counted."""
 
 PLACE_SECONDS = 2e-7
-"""Nominal time of an update, for each place that is remembered."""
+"""Nominal time of an update, per remembered place."""
 
 
 class CandidateMethod(Method):
@@ -28,16 +28,16 @@ class CandidateMethod(Method):
     STATE: ClassVar[tuple[str, ...]] = ("_row", "_points", "_counts")
 
     def __init__(self) -> None:
-        self._row: dict[bytes, int] = {}  # of each place, by its bin
+        self._row: dict[bytes, int] = {}  # row of each place, by its bin
         self._points: FloatArray = np.zeros(0)  # (n, d) once there is a place
-        self._counts: FloatArray = np.zeros((0, 3))  # seen, candidate, and whether it may be a subgoal
+        self._counts: FloatArray = np.zeros((0, 3))  # times seen, times candidate, and whether it may be a subgoal
 
     @abstractmethod
     def _accepted(self, seen: FloatArray, hits: FloatArray) -> FloatArray:
-        """By how much places are accepted, (n,), that were seen and were candidates so often; positive where any is."""
+        """Score places by how often they were seen and were candidates, (n,). A positive score accepts a place."""
 
     def _counted(self, experience: Experience, seen: IntArray, hits: IntArray) -> list[Region]:
-        """Count how often each place of a trajectory was seen and was a candidate; then the accepted ones, best first.
+        """Add a trajectory's counts of its places, and return the accepted places, best first.
 
         Only places that may be subgoals are proposed.
         """
@@ -64,5 +64,5 @@ class CandidateMethod(Method):
         return [experience.region(self._points[possible[i]]) for i in order if accepted[i] > 0]
 
     def seconds(self, experience: Experience) -> float:
-        """Nominal time of an update."""
+        """Return the nominal time of an update."""
         return PLACE_SECONDS * len(self._row)

@@ -22,19 +22,19 @@ from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, TrajectoryDatabase
 
 WARM_STARTS = 4
-"""Peaks of the last search that the next one also starts from."""
+"""Number of peaks of the last search that the next search also starts from."""
 
 NOTHING_LEFT = 5
-"""Once subgoals were found, and the filters leave nothing else, one of so many searches is made."""
+"""Once subgoals are found and the filters leave nothing else, only one search in this many is made."""
 
 ASCENTS = 96
-"""Evaluations of all instances by the points that ascend in a gradient search: 8 of them in 12 steps."""
+"""Evaluations of all instances in a gradient search: 8 points ascend for 12 steps."""
 
 EXHAUSTIVE_SHARE = 0.25
-"""An evaluation without a gradient takes this share of one with a gradient."""
+"""Cost of an evaluation without a gradient, as a share of one with a gradient."""
 
 PEAK_TOLERANCE = 1e-3
-"""Peaks whose log density is within this of the best one tie with it, in nats: what ascents leave undone."""
+"""Peaks this close to the best log density, in nats, tie with it: ascents are no more exact."""
 
 REMEDIES = {
     "radii": "is far from start and goal. Lower start_radius, goal_radius (--discovery.start-radius, .goal-radius).",
@@ -43,19 +43,19 @@ REMEDIES = {
     "cuts": "cuts off enough of the other states. The task may have no bottleneck.",
     "spacing": "is far enough from the subgoals of options. Lower spacing (--discovery.spacing).",
 }
-"""What each filter asks of a state, and what to do where it leaves too few."""
+"""What each filter demands of a state, and the remedy if it leaves too few."""
 
 
 class PersistentPeaks(Method):
     """Searches the bags of the database, and proposes the peaks of diverse density that persist.
 
     Args:
-        contrast: Of the group of features: by what a state of a successful trajectory must stand out.
+        contrast: Contrast of the feature group, by which a state of a successful trajectory must stand out.
 
     Attributes:
-        peaks: Of the last search, best first; empty after a subgoal was accepted.
-        evidence: What the last search searched; None if there was nothing.
-        completed: What the search searched that completed the last subgoal.
+        peaks: Peaks of the last search, best first; empty after a subgoal is accepted.
+        evidence: Bags of the last search; None if there were none.
+        completed: Bags of the search that completed the last subgoal.
     """
 
     STATE: ClassVar[tuple[str, ...]] = (
@@ -74,19 +74,19 @@ class PersistentPeaks(Method):
     searches = True
     again_after = np.inf
     cut_threshold = 0.4
-    """The threshold of a state that is known to cut off its surroundings: it is hardly an accident."""
+    """Lower threshold for a state known to cut off its surroundings: it is hardly an accident."""
 
     def __init__(self, contrast: Contrast | None = None) -> None:
         self.contrast = contrast
         self.peaks: list[Peak] = []
         self.evidence: FilteredBags | None = None
         self.completed: FilteredBags | None = None
-        self._n_new = 0  # states whose bags were not made yet
+        self._n_new = 0  # states whose bags are not made yet
         self._n_since = 0  # trajectories since the last search
         self._n_accepted = 0
 
     def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup] = ()) -> None:
-        """Set up what grows with experience; as `Method.begin`."""
+        """Set up the tracker and the bag maker; as `Method.begin`."""
         super().begin(settings, filters, groups)
         self.settings = settings
         self.filters = filters
@@ -108,7 +108,7 @@ class PersistentPeaks(Method):
         return self._n_since >= growth * database.n_successful
 
     def update(self, experience: Experience) -> list[Region]:
-        """Search the bags once, and propose the concepts that have become persistent, first the most persistent."""
+        """Search the bags once, and propose the persistent concepts, most persistent first."""
         self.search(experience)
         return self.proposals(experience.database)
 
@@ -131,11 +131,11 @@ class PersistentPeaks(Method):
         self.tracker.update(self.places(), self.filters.known_scale)
 
     def _certain(self, evidence: FilteredBags, engine: DiverseDensity, starts: FloatArray | None) -> list[Peak]:
-        """The peaks where no search is needed: a point is in all bags, and none of them is negative."""
+        """Return the peaks that need no search: points in all bags, none of which is negative."""
         return engine.certain(evidence.positive, starts)
 
     def _search(self, evidence: FilteredBags, engine: DiverseDensity, starts: FloatArray | None) -> list[Peak]:
-        """The peaks of bags, best first."""
+        """Search the bags and return the peaks, best first."""
         return engine.search(evidence.bags, starts=starts)
 
     def _seconds_of_search(self, evidence: FilteredBags, engine: DiverseDensity) -> float:
@@ -150,7 +150,7 @@ class PersistentPeaks(Method):
         return nominal_seconds(search=1, pair=n * n_points * (d + POINT_FEATURES))
 
     def bags(self, experience: Experience) -> FilteredBags | None:
-        """The bags of the database; None while there are too few positive ones to search."""
+        """Return the bags of the database, None while too few are positive."""
         database = experience.database
         cuts = self.maker.cuts
         n_computed = 0 if cuts is None else cuts.n_computed
@@ -170,9 +170,9 @@ class PersistentPeaks(Method):
         return evidence
 
     def proposals(self, database: TrajectoryDatabase) -> list[Region]:
-        """The persistent concepts of the last search, each as the region around its nearest instance."""
+        """Return the persistent concepts of the last search, each as a region around its nearest instance."""
         if self.evidence is None:
-            return []  # what persists in one group may have lost its bags to a subgoal of another
+            return []  # a subgoal of another group may have taken the bags of a persistent concept
         s = self.settings
         scale = self.filters.known_scale
         instances = np.concatenate(self.evidence.positive)
@@ -185,7 +185,7 @@ class PersistentPeaks(Method):
         return proposals
 
     def accept(self, goal: Region) -> float:
-        """Start the running averages again; as `Method.accept`."""
+        """Restart the running averages; as `Method.accept`."""
         best = self.peaks[0].log_density
         self._n_accepted += 1
         self.completed = self.evidence
@@ -194,7 +194,7 @@ class PersistentPeaks(Method):
         return best
 
     def engine(self) -> DiverseDensity:
-        """The diverse density that these settings mean."""
+        """Return diverse density with these settings."""
         exhaustive = self.settings.search == "exhaustive" or self.filters.kind == "categorical"
         return DiverseDensity(
             scale=1.0 if self.filters.scale is None else self.filters.scale,
@@ -204,7 +204,7 @@ class PersistentPeaks(Method):
         )
 
     def remembered(self) -> FloatArray:
-        """Where the concepts were last found, (n, d)."""
+        """Return where the concepts were last found, (n, d)."""
         return np.array([concept.point for concept in self.tracker.concepts])
 
     def embed_again(self, points: FloatArray, database: TrajectoryDatabase) -> None:
@@ -220,17 +220,17 @@ class PersistentPeaks(Method):
         self._n_new = sum(len(labelled.features) for labelled in database)  # all bags are made anew
 
     def log_density(self, points: FloatArray) -> FloatArray | None:
-        """In the bags that completed the last subgoal, or else of the last search; as `Method.log_density`."""
+        """Use the bags that completed the last subgoal, or else of the last search; as `Method.log_density`."""
         evidence = self.completed or self.evidence
         return None if evidence is None else np.asarray(self.engine().log_density(points, evidence.bags))
 
     def values(self) -> dict[str, float]:
-        """What is logged of it, by tag."""
+        """Return the values to log, by tag."""
         values = {"search/leading_average": self.tracker.leading_average()}
         return values | ({"search/best_log_density": self.peaks[0].log_density} if self.peaks else {})
 
     def why_nothing(self, diary: Diary, n_positive: int | None = None) -> str:
-        """Why it proposed nothing, with so many positive bags; as `Method.why_nothing`."""
+        """Say why it proposed nothing from ``n_positive`` bags; as `Method.why_nothing`."""
         least = self.settings.min_positive
         if self.evidence is not None:
             return f"no peak of diverse density persisted (threshold) in {diary.n} {diary.unit}s. Train for longer."
@@ -242,7 +242,7 @@ class PersistentPeaks(Method):
         )
 
     def places(self) -> FloatArray:
-        """The middles of the best peaks' plateaus, (n, d)."""
+        """Return the centres of the best peaks' plateaus, (n, d)."""
         least = self.peaks[0].log_density - PEAK_TOLERANCE
         tied = np.array([peak.point for peak in self.peaks if peak.log_density >= least])
         return tied[:0] if len(tied) > MOST_TIED else plateau_centres(tied, self.filters.known_scale, PEAK_RADIUS)

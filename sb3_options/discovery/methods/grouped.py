@@ -1,4 +1,4 @@
-"""Discovery on groups of features: for each group the bags, the peaks and the subgoals of its own features."""
+"""Discovery on feature groups: each group has bags, peaks and subgoals in its own features."""
 
 from __future__ import annotations
 
@@ -22,14 +22,12 @@ from sb3_options.experience.trajectories import TrajectoryDatabase
 
 
 class GroupedPeaks(Method):
-    """`PersistentPeaks` once for each group of features; a subgoal says nothing of the features of other groups.
+    """Runs `PersistentPeaks` once per feature group. A subgoal leaves the features of other groups open.
 
-    A bag holds the places of its group that the trajectory visited, in the group's own features; `start_radius`,
-    `goal_radius` and `spacing` count in these. It holds all of them: seen from an agent that moves, the same state
-    twice need not be a loop (``loops``), nor do ways lead through it (``min_passing``). Instead an instance of a
-    successful trajectory must stand out by its `Contrast`. There is a search when a trajectory has succeeded, and later
-    when a few have (``search_growth``).
-
+    A bag holds all places of its group that the trajectory visited, in the group's own features. `start_radius`,
+    `goal_radius` and `spacing` are measured in these. ``loops`` and ``min_passing`` do not apply: to a moving agent, a
+    repeated state need not be a loop, nor does a path lead through it. Instead an instance of a successful trajectory
+    must stand out by its `Contrast`. A search follows a success, and later a few of them (``search_growth``).
     """
 
     STATE: ClassVar[tuple[str, ...]] = ("_members", "_leading", "_searched", "_n_successful", "_n_standing")
@@ -39,7 +37,7 @@ class GroupedPeaks(Method):
     again_after = 0.0
 
     def __init__(self) -> None:
-        self._contrasts: list[Contrast] = []  # of the smaller groups first, for each is compared with its parts
+        self._contrasts: list[Contrast] = []  # smaller groups first, because each group is compared with its parts
         self._groups: tuple[FeatureGroup, ...] = ()
         self._members: list[PersistentPeaks] = []  # in the order of the groups
         self._leading = 0
@@ -74,7 +72,7 @@ class GroupedPeaks(Method):
         return n_new >= 1 and n_new >= self.settings.search_growth * database.n_successful
 
     def update(self, experience: Experience) -> list[Region]:
-        """Search the bags of every group once, and propose the concepts that have become persistent."""
+        """Search the bags of every group once, and propose the persistent concepts."""
         database = cast("OutcomeDatabase", experience.database)
         self._searched = database.n_entered
         self._n_successful = database.n_successful
@@ -97,24 +95,24 @@ class GroupedPeaks(Method):
         return self.proposals(experience)
 
     def proposals(self, experience: Experience) -> list[Region]:
-        """Of the first group that has any. The others come with later searches."""
+        """Return the proposals of the first group with any. Other groups come in later searches."""
         return next((found for each in self._members if (found := each.proposals(experience.database))), [])
 
     def accept(self, goal: Region) -> float:
-        """Start the running averages of its group again; as `Method.accept`."""
+        """Restart the running averages of the subgoal's group; as `Method.accept`."""
         assert goal.group is not None  # all subgoals here have one
         return self.members[goal.group].accept(goal)
 
     def values(self) -> dict[str, float]:
-        """Of the group whose concept has the largest average."""
+        """Return the values of the group whose concept has the largest average."""
         return self._members[self._leading].values()
 
     def n_successes(self, diary: Diary) -> int:
-        """Successes in the database, with the failures that stand for some."""
+        """Count successes, including failures that stand for a success in the database."""
         return max(self._n_successful, diary.successes)
 
     def why_nothing(self, diary: Diary) -> str:
-        """Why it proposed nothing, where it might have."""
+        """Say why it proposed nothing."""
         why = self._members[self._leading].why_nothing(diary, self._n_successful)
         n = self._n_standing
         return f"{why} Failures that stand for successes (salient_share): {n}." if n else why

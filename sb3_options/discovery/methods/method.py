@@ -24,16 +24,15 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class Experience:
-    """The newest trajectory, and the database it is in, as methods see them.
+    """The newest trajectory and its database, as methods see them.
 
     Args:
         labelled: The trajectory.
-        may_be_subgoals: Computes which of its states may be subgoals, (m,), when that is first asked for.
+        may_be_subgoals: Computes, on first use, which of its states may be subgoals, (m,).
         scale: Factor for every feature that makes one unit one step, (d,).
-        radius: Of a subgoal, in scaled units.
+        radius: Radius of a subgoal, in scaled units.
         taken: Subgoals that have an option.
-        avoided: Subgoals that a search of the database leaves out: those taken, and those for which no option could be
-            learned.
+        avoided: Subgoals that a search leaves out: those taken, and those for which no option could be learned.
         database: The last trajectories.
 
     Attributes:
@@ -52,7 +51,7 @@ class Experience:
     database: TrajectoryDatabase = field(default_factory=lambda: TrajectoryDatabase(1))
 
     def __post_init__(self) -> None:
-        """Show the trajectory, read-only."""
+        """Expose the trajectory, read-only."""
         self.trajectory: Trajectory = self.labelled.trajectory
         self.features = self.labelled.features.view()
         self.visits = self.trajectory.visits.view()
@@ -61,12 +60,12 @@ class Experience:
 
     @cached_property
     def allowed(self) -> BoolArray:
-        """Which of its states may be subgoals, (m,): the static filter allows them, and no subgoal is near."""
+        """Which states may be subgoals, (m,): they pass the static filter, and no subgoal is near."""
         return self.may_be_subgoals()
 
     @cached_property
     def places(self) -> Places:
-        """Its states, binned at one unit of concept space: states that differ by less are one place."""
+        """The states binned at one unit of concept space: states in one bin are one place."""
         bins = np.rint(self.features * self.scale) + 0.0  # -0.0 and 0.0 are one bin, but not the same bytes
         _, first, which = np.unique(bins, axis=0, return_index=True, return_inverse=True)
         which = which.ravel()
@@ -75,7 +74,7 @@ class Experience:
         return Places(self.features[first], bins[first], which[self.visits], allowed)
 
     def region(self, point: ArrayLike) -> Region:
-        """The region around a place, (d,)."""
+        """Return the region around a place, (d,)."""
         return Region(np.array(point, dtype=np.float64)[None], self.scale, self.radius)
 
 
@@ -83,10 +82,10 @@ class Places(NamedTuple):
     """The distinct places of a trajectory.
 
     Attributes:
-        points: One state of each, (k, d).
-        bins: Which place it is, whole numbers, (k, d).
+        points: One state of each place, (k, d).
+        bins: Bin of each place, whole numbers, (k, d).
         visits: Row of ``points`` at every time, (T + 1,).
-        allowed: Whether all its states may be subgoals, (k,).
+        allowed: Whether all states of a place may be subgoals, (k,).
     """
 
     points: FloatArray
@@ -96,13 +95,13 @@ class Places(NamedTuple):
 
 
 class DiscoveryMethod(Protocol):
-    """Proposes subgoals from the agent's experience, and from nothing else.
+    """Proposes subgoals from the agent's experience only.
 
-    Any object with this method may be passed as ``SubgoalDiscoveryCallback(method=…)``. For a checkpoint it must be a
-    dataclass, or have ``get_state()``, which gives a dictionary of arrays and plain values, and ``set_state(state)``.
-    The budget also needs ``seconds(experience)``: how long an update takes, estimated by sizes and not by the clock.
-    Without it updates are measured, and two trainings with one seed may differ. ``needs_success = True`` says that a
-    method proposes nothing before a success; where none succeeds, that is the reason that users read.
+    Any object with this method may be passed as ``SubgoalDiscoveryCallback(method=…)``. To be saved in a checkpoint, it
+    must be a dataclass, or have ``get_state()`` and ``set_state(state)``. The state is a dictionary of arrays and plain
+    values. The budget also needs ``seconds(experience)``, the time of an update, estimated from sizes and not by the
+    clock. Without it updates are timed, and two trainings with one seed may differ. ``needs_success = True`` says that
+    the method proposes nothing before a success. If nothing succeeds, users are told this reason.
     """
 
     def update(self, experience: Experience) -> Sequence[Region]:
@@ -112,23 +111,22 @@ class DiscoveryMethod(Protocol):
             experience: The trajectory.
 
         Returns:
-            Regions to reach, best first. The first that is far enough from other subgoals is taken. What is proposed
-            again after the next trajectory is considered again.
+            Regions to reach, best first. The first one far enough from other subgoals is taken. A region may be
+            proposed again after the next trajectory.
         """
         ...
 
 
 class Method(DiscoveryMethod):
-    """A `DiscoveryMethod` of the library, with what ``Discovery`` asks besides.
+    """A `DiscoveryMethod` of the library, with the further interface that ``Discovery`` uses.
 
     Attributes:
         needs_success: Whether it proposes nothing before a success.
-        searches: Whether it searches the database now and then (`is_due`), with filters of its own; otherwise it takes
-            note of every trajectory.
-        again_after: A subgoal that no option could be learned for may come again after so many times as many
-            trajectories.
+        searches: Whether it searches the database now and then (`is_due`), with its own filters; otherwise it notes
+            every trajectory.
+        again_after: A withdrawn subgoal may come again once the number of trajectories has grown by this factor.
         learns_from_failures: Whether a failure may lead to a proposal.
-        min_successes: Successful trajectories that it waits for.
+        min_successes: Number of successful trajectories that it waits for.
     """
 
     STATE: ClassVar[tuple[str, ...]] = ()
@@ -141,7 +139,7 @@ class Method(DiscoveryMethod):
     _cost: float = 0.0
 
     def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup]) -> None:
-        """Get what discovery was made with, before the first trajectory."""
+        """Receive the settings of discovery, before the first trajectory."""
         if groups:
             raise ValueError(
                 f"{self.name} works on all features together, and the feature map has groups: use diverse density, or, "
@@ -156,34 +154,34 @@ class Method(DiscoveryMethod):
         return True
 
     def seconds(self, experience: Experience) -> float:
-        """Nominal seconds of the last update."""
+        """Return the nominal seconds of the last update."""
         return self._cost
 
     def accept(self, goal: Region) -> float:
-        """Note that a proposed subgoal is taken, and say the best log diverse density of its search, NaN without."""
+        """Note that a proposal is taken. Return the best log diverse density of its search, or NaN."""
         return float("nan")
 
     def remembered(self) -> FloatArray:
-        """Points of concept space that it remembers, (n, d)."""
+        """Return the remembered points of concept space, (n, d)."""
         return np.zeros((0, 0))
 
     def embed_again(self, points: FloatArray, database: TrajectoryDatabase) -> None:
-        """Go on in another space, in which the `remembered` points are these, and the database has other features."""
+        """Continue in another space: ``points`` replace the `remembered` ones, and the database has new features."""
 
     def log_density(self, points: FloatArray) -> FloatArray | None:
-        """Log diverse density of points (n, d) in the bags of the last search; None where there is none."""
+        """Return the log diverse density of points (n, d) in the bags of the last search, or None."""
         return None
 
     def values(self) -> dict[str, float]:
-        """What is logged of it, by tag."""
+        """Return the values to log, by tag."""
         return {}
 
     def n_successes(self, diary: Diary) -> int:
-        """Trajectories that count as successes."""
+        """Count the trajectories that count as successes."""
         return diary.successes
 
     def why_nothing(self, diary: Diary) -> str:
-        """Why it proposed nothing, where it might have."""
+        """Say why it proposed nothing."""
         if diary.successes < self.min_successes:
             return (
                 f"{self.name} waits for {self.min_successes} successful {diary.unit}s (min_successes), and "
@@ -193,12 +191,12 @@ class Method(DiscoveryMethod):
 
     @property
     def name(self) -> str:
-        """Of its class."""
+        """Name of the class."""
         return type(self).__name__
 
 
 class OwnMethod(Method):
-    """A user's own method, whose proposals are checked and copied, so that it cannot change them later."""
+    """A user's own method. Its proposals are checked, and copied so that it cannot change them later."""
 
     STATE = ("method",)
 
@@ -220,7 +218,7 @@ class OwnMethod(Method):
         return [self._checked(each, experience.features.shape[1]) for each in proposals]
 
     def _checked(self, region: Region, size: int) -> Region:
-        """A proposal with arrays of its own."""
+        """Check a proposal, and return it with arrays of its own."""
         points, scale = np.array(region.points, dtype=np.float64), np.array(region.scale, dtype=np.float64)
         fits = points.ndim == 2 and points.shape[1:] == scale.shape == (size,) and len(points) > 0
         if not (fits and np.isfinite(points).all() and np.isfinite(scale).all() and 0 <= region.radius < np.inf):
@@ -232,19 +230,19 @@ class OwnMethod(Method):
         return replace(region, points=points, scale=scale)
 
     def seconds(self, experience: Experience) -> float:
-        """Nominal seconds of the last update: the user's estimate, or as measured."""
+        """Return the seconds of the last update: the user's estimate, or else the measured time."""
         if not hasattr(self.method, "seconds"):
             return self._cost
         return float(self.method.seconds(experience))
 
     @property
     def name(self) -> str:
-        """Of the user's class."""
+        """Name of the user's class."""
         return type(self.method).__name__
 
 
 def checked_method(method: Any) -> DiscoveryMethod | None:
-    """A method that is no name; None for a name, or for nothing."""
+    """Return a method object after a check; None for a name or for None."""
     if method is None or isinstance(method, str):
         return None
     if isinstance(method, type) or not callable(getattr(method, "update", None)):

@@ -12,11 +12,11 @@ from sb3_options.discovery.methods.method import Experience, Method
 
 @dataclass(kw_only=True, eq=False)
 class RandomPlaces(Method):
-    """A control: a random place of a successful trajectory.
+    """A control that proposes a random place of each successful trajectory.
 
     Args:
         min_successes: Successful trajectories before the first proposal.
-        seed: Of the generator that draws.
+        seed: Seed of the random generator.
     """
 
     STATE = ("_successes", "_random")
@@ -27,7 +27,7 @@ class RandomPlaces(Method):
     seed: Annotated[int, Field(ge=0)] = 0
 
     def __post_init__(self) -> None:
-        """Begin to draw."""
+        """Set up the random generator."""
         self._random = np.random.default_rng(self.seed)
         self._successes = 0
 

@@ -16,17 +16,17 @@ from sb3_options.experience.observations import FloatArray, IntArray
 class RelativeNovelty(CandidateMethod):
     """Şimşek & Barto (2004), *Using Relative Novelty to Identify Useful Temporal Abstractions in RL*.
 
-    The novelty of states is 1/√n̄, with n̄ the mean of how often each was visited in the trajectory so far. The relative
-    novelty of a time is that of the states of ``lag`` steps from it on, over that of the ``lag`` steps before it. A
-    state is a candidate at a time if this exceeds ``threshold``. A subgoal is what is a candidate oftener than other
-    states are: with n relative novelties of which k exceed it, pᵏ(1−p)ⁿ⁻ᵏ / (qᵏ(1−q)ⁿ⁻ᵏ) > ``odds``.
+    The novelty of some states is 1/√n̄, where n̄ is their mean visit count in the trajectory so far. The relative novelty
+    of a time is the novelty of the states from it to ``lag`` steps later, over that of the ``lag`` steps before it. A
+    state is a candidate at a time if this exceeds ``threshold``. A subgoal is a candidate more often than other states:
+    if k of its n relative novelties exceed the threshold, pᵏ(1−p)ⁿ⁻ᵏ / (qᵏ(1−q)ⁿ⁻ᵏ) > ``odds``.
 
     Args:
         lag: l_n, in primitive steps.
         threshold: t_RN.
-        p_target: p, how often a subgoal is a candidate when it is visited.
-        p_other: q, how often another state is.
-        odds: λ_fa/λ_miss · p(N)/p(T): cost of false alarms to that of misses, and prior odds of other states, 100 each.
+        p_target: p, probability that a visited subgoal is a candidate.
+        p_other: q, the same for another state.
+        odds: λ_fa/λ_miss · p(N)/p(T): cost ratio of false alarms to misses, times prior odds of other states, 100 each.
     """
 
     lag: Annotated[int, Field(ge=1)] = 7
@@ -36,7 +36,7 @@ class RelativeNovelty(CandidateMethod):
     odds: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 10_000.0
 
     def __post_init__(self) -> None:
-        """Begin without places."""
+        """Check the probabilities, and start without places."""
         if self.p_target <= self.p_other:
             raise ValueError(f"p_target must be above p_other, got {self.p_target} and {self.p_other}.")
         super().__init__()
@@ -51,14 +51,14 @@ class RelativeNovelty(CandidateMethod):
         return self._counted(experience, seen, hits)
 
     def _accepted(self, seen: FloatArray, hits: FloatArray) -> FloatArray:
-        """By how much the logarithm of the likelihood ratio exceeds that of the odds."""
+        """Return the log likelihood ratio minus the log odds."""
         target, other = self.p_target, self.p_other
         evidence = hits * np.log(target / other) + (seen - hits) * np.log((1 - target) / (1 - other))
         return np.asarray(evidence - np.log(self.odds))
 
 
 def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:
-    """The relative novelty of the times of a trajectory that have ``lag`` steps on both sides."""
+    """Return the times of a trajectory with ``lag`` steps on both sides, and their relative novelty."""
     total = np.concatenate([[0], np.cumsum(_count_so_far(visits))])
     times = np.arange(lag, len(visits) - lag)
     before = (total[times] - total[times - lag]) / lag
@@ -67,7 +67,7 @@ def relative_novelty(visits: IntArray, lag: int) -> tuple[IntArray, FloatArray]:
 
 
 def _count_so_far(visits: IntArray) -> IntArray:
-    """The how manieth visit of its place each time is, (T + 1,)."""
+    """Return for each time the visit count of its place so far, (T + 1,)."""
     order, sizes = np.argsort(visits, kind="stable"), np.bincount(visits)
     counts = np.empty(len(visits), dtype=np.int64)
     counts[order] = np.arange(1, len(visits) + 1) - np.repeat(np.cumsum(sizes) - sizes, sizes)
