@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import (
     is_vecenv_wrapped,
 )
 
-from sb3_options.callbacks.cloning import check_clonable
+from sb3_options.callbacks.cloning import can_clone, check_clonable
 from sb3_options.callbacks.tree import check_every_step
 from sb3_options.execution.above import changing_steps
 from sb3_options.execution.options_vec_env import OptionsVecEnv
@@ -35,7 +35,7 @@ def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | N
     venv = callback.training_env
     made = callback._keeper.made
     check_discovery(model, venv)
-    if callback.clones:
+    if callback.demonstrations is not None and callback.clone and can_clone(model):
         check_clonable(venv)
     # A reloaded model has the options that the callback made.
     again = before is None or before is model or (made and made <= set(venv.get_attr("bank", [0])[0].filled))

@@ -119,11 +119,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         """Copy of the present options; an empty bank before training starts. Environments have banks of their own."""
         return OptionBank(1, 0) if self._installer is None else self._installer.bank.copy()
 
-    @property
-    def clones(self) -> bool:
-        """Whether the policy starts with the decisions of demonstrations."""
-        return self.demonstrations is not None and self.clone and can_clone(self.model)
-
     def _on_training_start(self) -> None:
         self._ended = True
         self._began = len(self.history)
@@ -160,8 +155,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._ended = False
         if begins and self.demonstrations is not None:
             self._learn_from_demonstrations(self.demonstrations, seed)
-        if self.clones:
-            keeper.grows = False  # a cloned decision for an option holds for the option as it was
 
     def _learn_from_demonstrations(self, given: Iterable[Trajectory] | str | os.PathLike[str], seed: int) -> None:
         shown = labelled(given, self.training_env, self.success)
@@ -171,7 +164,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self.model._last_obs = self.training_env.reset()  # type: ignore[assignment]  # as in SB3's own code
             if (normalizer := self.model.get_vec_normalize_env()) is not None:
                 self.model._last_original_obs = normalizer.get_original_obs()
-        if self.clones:
+        if self.clone and can_clone(self.model):
             options = self._keeper.options
             options.on_rollout_start()  # no rollout has started, and the heads must be open
             successes = [each for each, success in shown if success]

@@ -75,7 +75,6 @@ class OptionKeeper:
 
     def __init__(self, settings: OptionLearningSettings, usefulness: UsefulnessSettings) -> None:
         self.settings = settings
-        self.grows = settings.grow
         self.most: int | None = None  # maximum number of options, not counting closed ones
         self.discoveries: list[DiscoveredOption] = []
         self.closed: list[ClosedOption] = []
@@ -113,13 +112,13 @@ class OptionKeeper:
         discovers = self.may_make()
         if success and self.wants_slot() and self.useful.counts_needs(options):
             self.useful.succeeded(options, options.features_of(trajectory.states))
-        if not (discovers or (self.grows and len(options.bank))):
+        if not (discovers or (self.settings.grow and len(options.bank))):
             return None
         labelled = search.add(trajectory, options.features_of(trajectory.states), success=success)
         if self.features is not None and self.features.learn_if_due(search, options):
             self.useful.forget_places()
             *_, labelled = search.database
-        if self.grows:
+        if self.settings.grow:
             self._learn_further(labelled)
         may_lead = labelled.success or search.method.learns_from_failures
         ready = self.features is None or self.features.ready

@@ -28,8 +28,7 @@ class OptionLearningSettings:
             the transitions of I have at most half as many distinct observations as transitions.
         sweeps: Maximum number of sweeps through the saved transitions for a table. It stops when nothing changes.
         grow: Whether to learn an option anew, initiation set and policy, each time twice as many saved trajectories
-            have reached its subgoal. An option from a file adds the experience of this training. Options of a cloned
-            policy stay as they are.
+            have reached its subgoal. An option from a file adds the experience of this training.
     """
 
     policy_input: PolicyInput = "observation"

@@ -111,7 +111,7 @@ def test_training_goes_on_from_a_reset_after_random_failures(
     monkeypatch.setattr("sb3_options.callbacks.demonstrated.FAILURES", 4)
     env = VecNormalize(make_vec_env(make_optioned_rooms, 2, seed=0, vec_env_cls=SubprocVecEnv), norm_reward=False)
     try:
-        discovery = callback(shown, clone=False)  # options of a cloned policy need no episodes of training
+        discovery = callback(shown)
         model = PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, seed=0)
         model.learn(256, discovery)
         assert discovery.discoveries[0].timestep == 0
@@ -124,17 +124,6 @@ def test_training_goes_on_from_a_reset_after_random_failures(
         assert all(each.success == bool(each.trajectory.is_success) for each in discovery.discovery.database)
     finally:
         env.close()
-
-
-@pytest.mark.parametrize("clone", [True, False])
-def test_options_of_a_cloned_policy_are_not_learned_anew(shown: list[Trajectory], clone: bool) -> None:
-    env = optioned_rooms()
-    model = PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, seed=0)
-    discovery = callback(shown, clone=clone)
-    model.learn(1, [discovery, EndsAtOnce()])
-    before = discovery.bank.content()
-    model.learn(3000, discovery, reset_num_timesteps=False)
-    assert (discovery.bank.content() == before) == clone
 
 
 def test_random_actions_are_those_that_the_environment_allows() -> None:
