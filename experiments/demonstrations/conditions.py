@@ -76,9 +76,12 @@ class UntilLearned(BaseCallback):
 def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
     """Frames until learned, those of the demonstrations and of random failures included; None where it is not."""
     max_options = MAX_OPTIONS if "options" in arm else 0
+    cloned = CLONED if "cloning" in arm else {}
+    max_runs: Any = cloned.get("max_runs")
 
     def wrapped() -> OptionsWrapper:
-        return OptionsWrapper(make(task, mission=task in MISSIONS, last_action=True), max_options, gamma=GAMMA)
+        observed = make(task, mission=task in MISSIONS, last_action=True)
+        return OptionsWrapper(observed, max_options, gamma=GAMMA, max_runs=max_runs)
 
     env = wrapped()
     shown = record_demonstrations(env, expert_of(env, noise, seed), episodes, seed=FIRST_SEED + 1000 * seed)
@@ -92,7 +95,7 @@ def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
         max_new_options=None if max_options else 0,
     )
     end = UntilLearned()
-    ppo = PPO | (CLONED if "cloning" in arm else {})
+    ppo = PPO | {name: value for name, value in cloned.items() if name in PPO}
     model = MaskablePPO(
         "MlpPolicy",
         make_vec_env(wrapped, N_ENVS, seed=seed),

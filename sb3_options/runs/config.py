@@ -39,8 +39,9 @@ ALGORITHMS = {
 CLONING = ("maskableppo", "ppo", "a2c", "trpo")
 """Algorithms whose policy can be cloned from demonstrations."""
 
-CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003}
-"""Arguments for a cloned policy: an entropy bonus or large updates would undo the cloning."""
+CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003, "max_runs": 5}
+"""Settings for a cloned policy. An entropy bonus or large updates would undo the cloning. An option that is learned
+anew becomes available where the policy was not cloned, and may be chosen there again and again."""
 
 OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
@@ -80,6 +81,7 @@ class TrainConfig:
         clone: Whether the policy begins with their decisions.
         max_options: Number of option slots.
         max_new_options: Maximum to discover; None: all slots.
+        max_runs: Maximum runs of an option per episode.
         eval_freq: Primitive steps per evaluation; 0: none.
         tensorboard_log: Folder for run folders.
         gamma: Discount γ per primitive step.
@@ -108,6 +110,7 @@ class TrainConfig:
     clone: bool = True
     max_options: Annotated[int, Field(ge=0, le=MAX_OPTIONS)] = 4
     max_new_options: Natural | None = 1
+    max_runs: Count | None = None
     eval_freq: Natural = 0
     tensorboard_log: Path = Path("runs")
     gamma: Annotated[float, Field(gt=0.0, le=1.0)] = 0.97
@@ -167,7 +170,7 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
         # The environment's settings may name arguments of another algorithm.
         defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
         if algo in CLONING and given.get("demonstrations") and given.get("clone", True):
-            defaults |= {name: value for name, value in _flat(CLONED).items() if name in defaults}
+            defaults |= {n: v for n, v in _flat(CLONED).items() if n in defaults or not n.startswith(ARGUMENT)}
         own = _nested(given)["algo_kwargs"]
         if own:
             from sb3_options.runs.algorithms import checked_arguments  # which imports SB3

@@ -161,6 +161,7 @@ def make_env(
             gamma=config.gamma,
             feature_map=feature_map,
             options_file=options,
+            max_runs=config.max_runs,
             check_finite=True,
         )
 
