@@ -11,7 +11,7 @@ from sb3_options.envs.minigrid import DISCOVERY
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs.algorithms import checked_arguments
-from sb3_options.runs.config import ALGORITHMS, FIELDS, configure
+from sb3_options.runs.config import ALGORITHMS, CLONING, FIELDS, configure
 
 
 def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
@@ -20,7 +20,7 @@ def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
         env_wrapper="a_module:Wrapper", feature_map="a_module:phi", checkpoint_freq=60, n_envs=3,
         tensorboard_log=Path("else/where"), eval_freq=50, eval_episodes=4, progress=False,
         vec_env="subproc", options=Path("a/run"), demonstrations=Path("shown"), clone=False, max_options=2,
-        max_new_options=None, gamma=0.5, bonus="rnd", success="return:3",
+        max_new_options=None, max_runs=7, gamma=0.5, bonus="rnd", success="return:3",
         n_steps=12, clip_range=0.25, policy_kwargs={"ortho_init": False}, net_arch=[3],
         discovery={"decay": 0.8, "scale": 2.5}, option={"max_duration": 9}, usefulness={"min_reached": 0.3},
     )  # fmt: skip
@@ -33,7 +33,7 @@ def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("algo", ["maskableppo", "ppo", "a2c", "trpo", "recurrentppo", "dqn"])
-def test_a_cloned_policy_gets_small_updates_and_no_bonus_for_entropy(algo: str) -> None:
+def test_a_cloned_policy_gets_settings_of_its_own(algo: str) -> None:
     usual = configure(algo=algo).algo_kwargs
     expected = dict(usual)
     if algo in ("maskableppo", "ppo", "a2c"):
@@ -42,6 +42,8 @@ def test_a_cloned_policy_gets_small_updates_and_no_bonus_for_entropy(algo: str) 
         expected |= {"learning_rate": 3e-4}
     assert configure(algo=algo, demonstrations="a").algo_kwargs == expected
     assert configure(algo=algo, demonstrations="a", clone=False).algo_kwargs == usual
+    assert configure(algo=algo, demonstrations="a").max_runs == (5 if algo in CLONING else None)
+    assert configure(algo=algo, demonstrations="a", clone=False).max_runs is None
     assert configure(algo=algo, demonstrations="a", learning_rate=0.5).algo_kwargs["learning_rate"] == 0.5
 
 
