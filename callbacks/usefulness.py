@@ -230,9 +230,10 @@ class Usefulness:
         record.new.clear()
 
     def _failing(self, record: SlotRecord, option: SubgoalOption) -> tuple[BoolArray, BoolArray]:
-        """Find centres of I from which too few runs arrive, (n,) each: by a test; by share, if all runs fail the test.
+        """Find centres of I from which too few runs arrive, (n,) each: by a test, or else by share.
 
-        Failures of an option may be spread over many states, too few at each for the test.
+        Failures of an option may be spread over many states, too few at each for the test. The share decides if the
+        test rejects all runs together.
         """
         region: Region = option.initiation_set
         if not len(region.points):

@@ -23,16 +23,16 @@ CORNER_SIZE = 0.8
 """Side of the marked square corner, m."""
 
 ROBOT_CLEARANCE = 0.5
-"""Initial distance of the middle of the robot's axle from walls and obstacles, m. Turning freely takes 0.41 m."""
+"""Least initial distance of the middle of the robot's axle from walls and obstacles, m. Turning freely takes 0.41 m."""
 
 BALL_CLEARANCE = 0.6
-"""Initial distance of a ball's centre from walls and obstacles, m. The robot can reach it from all sides."""
+"""Least initial distance of a ball's centre from walls and obstacles, m. The robot can reach it from all sides."""
 
 PASSAGE = 0.85
 """Free width between obstacles, and between obstacle and wall, m. The robot needs 0.82 m to turn with a ball."""
 
 START_DISTANCE = 0.8
-"""Initial distance between the robot and a ball, and between two balls, m."""
+"""Least initial distance between the robot and a ball, and between two balls, m."""
 
 N_PROBES = 200
 """Number of placements tried before an arena counts as too small."""

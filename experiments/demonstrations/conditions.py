@@ -16,7 +16,7 @@ from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.demonstrated import FAILURES
 from sb3_options.envs.minigrid import DISCOVERY, make
-from sb3_options.runs.config import CLONED
+from sb3_options.runs.config import CLONED, CLONED_MAX_RUNS
 
 Arm = Literal["options, cloning", "cloning", "options"]
 
@@ -76,8 +76,7 @@ class UntilLearned(BaseCallback):
 def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
     """Frames until learned, those of the demonstrations and of random failures included; None where it is not."""
     max_options = MAX_OPTIONS if "options" in arm else 0
-    cloned = CLONED if "cloning" in arm else {}
-    max_runs: Any = cloned.get("max_runs")
+    max_runs = CLONED_MAX_RUNS if "cloning" in arm else None
 
     def wrapped() -> OptionsWrapper:
         observed = make(task, mission=task in MISSIONS, last_action=True)
@@ -95,7 +94,7 @@ def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
         max_new_options=None if max_options else 0,
     )
     end = UntilLearned()
-    ppo = PPO | {name: value for name, value in cloned.items() if name in PPO}
+    ppo = PPO | (CLONED if "cloning" in arm else {})
     model = MaskablePPO(
         "MlpPolicy",
         make_vec_env(wrapped, N_ENVS, seed=seed),

@@ -347,7 +347,9 @@ class OptionsVecEnv(VecEnvWrapper):
         while len(trajectories) < episodes:
             self.reset()
             first: dict[int, Trajectory] = {}
-            for _ in range(max_steps):
+            steps = 0
+            while len(first) < self.num_envs and steps < max_steps:
+                steps += 1
                 *_, infos = self.step(random.integers(self.n_primitive, size=self.num_envs))
                 first = {env: info["trajectory"] for env, info in enumerate(infos) if "trajectory" in info} | first
             for env in set(range(self.num_envs)) - set(first):

@@ -185,13 +185,14 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         for episode in range(episodes):
             recorder.begin(self.reset(seed=seed + episode)[0])
             ended = False
-            while not ended:
+            while not ended and len(recorder) < max_steps:
                 legal = self._legal()
                 action = int(random.choice(self.n_primitive if legal is None else np.flatnonzero(legal)))
                 observation, reward, terminated, truncated, info = self.step(action)
                 recorder.record(action, float(reward), observation)
-                ended = terminated or truncated or len(recorder) >= max_steps
-            recorder.end(terminated=terminated, truncated=not terminated, is_success=success_in(info))
+                ended = terminated or truncated
+            said = success_in(info) if ended else None
+            recorder.end(terminated=terminated, truncated=not terminated, is_success=said)
             trajectories += recorder.finished
         return trajectories
 

@@ -105,7 +105,7 @@ def forget_moments(policy: Any, action: int) -> None:
 def open_head(policy: Any, action: int, n_primitive: int, *, odds: float | None = None) -> None:
     """Set the outputs of ``action`` to the mean of the primitive actions' values, or of their logits.
 
-    The mean never exceeds the best primitive's value: exploration must choose a new option, not a lucky initialisation.
+    The mean never exceeds the best primitive's value. So exploration chooses a new option, not a lucky initial value.
 
     Args:
         policy: Policy of an SB3 model.

@@ -65,7 +65,7 @@ class EvaluateConfig(Trusting):
         seed: Random seed of the environment.
         video: Write the first ten episodes to this file, MP4 or GIF.
         best: Play the best model of --eval-freq, not the last.
-        stochastic: Sample actions, as in training, instead of the most probable ones.
+        stochastic: Sample the policy's actions, as in training. By default it acts greedily.
     """
 
     run: Path

@@ -39,9 +39,12 @@ ALGORITHMS = {
 CLONING = ("maskableppo", "ppo", "a2c", "trpo")
 """Algorithms whose policy can be cloned from demonstrations."""
 
-CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003, "max_runs": 5}
-"""Settings for a cloned policy. An entropy bonus or large updates would undo the cloning. An option that is learned
-anew becomes available where the policy was not cloned, and may be chosen there again and again."""
+CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003}
+"""Arguments for a cloned policy: an entropy bonus or large updates would undo the cloning."""
+
+CLONED_MAX_RUNS = 5
+"""Limit for a cloned policy with masks. An option that is learned anew becomes available where the policy was not
+cloned, and may be chosen there again and again."""
 
 OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
@@ -170,7 +173,9 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
         # The environment's settings may name arguments of another algorithm.
         defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
         if algo in CLONING and given.get("demonstrations") and given.get("clone", True):
-            defaults |= {n: v for n, v in _flat(CLONED).items() if n in defaults or not n.startswith(ARGUMENT)}
+            defaults |= {name: value for name, value in _flat(CLONED).items() if name in defaults}
+            if algo == "maskableppo" and (defaults | given).get("discovery.segmentation") != "peaks":
+                defaults["max_runs"] = CLONED_MAX_RUNS  # peaks are for tasks without episodes
         own = _nested(given)["algo_kwargs"]
         if own:
             from sb3_options.runs.algorithms import checked_arguments  # which imports SB3

@@ -48,13 +48,16 @@ def show_evaluation(config: EvaluateConfig, console: Console) -> None:
     """Evaluate a run, print the result, and write it to ``evaluation.json`` in the run folder."""
     result = evaluate_run(**asdict(config))
     intervals = {"return": result.mean_return, "success rate": result.success_rate, "primitive steps": result.steps}
-    title = f"{escape(str(config.run))}: {result.episodes} episodes"
+    how = "sampled actions" if config.stochastic else "greedy actions"
+    title = f"{escape(str(config.run))}: {result.episodes} episodes, {how}"
     table = Table("", "mean", "95 % confidence interval", title=title)
     for name, interval in intervals.items():
         table.add_row(name, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
     console.print(table)
     found = {name.replace(" ", "_"): interval._asdict() for name, interval in intervals.items()}
-    content = json.dumps({"episodes": result.episodes, "seed": config.seed, **found}, indent=2)
+    content = json.dumps(
+        {"episodes": result.episodes, "seed": config.seed, "stochastic": config.stochastic, **found}, indent=2
+    )
     with atomic_write(config.run / "evaluation.json") as temporary:
         temporary.write_text(content + "\n", encoding="utf-8")
 
@@ -70,6 +73,8 @@ def evaluate_run(run: Path, **settings: Any) -> Evaluation:
         (run / name).stat()  # a missing file is named before an environment is made
     # The run's own options file also holds the options that it started with.
     config = replace(configs.load(run / runs.CONFIG, asked.trusted()), options=None)
+    if asked.stochastic and config.algo in configs.OFF_POLICY:
+        raise ValueError(f"The policy of {config.algo} is greedy and samples no actions: leave --stochastic out.")
     cameras: list[RecordFrames] = []
     with ExitStack() as stack:
 

@@ -48,7 +48,7 @@ def half_written(files: list[Path], folder: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.usefixtures("keep_all")
 @pytest.mark.parametrize(
-    ("name", "subproc"), [*((name, False) for name in (*FAST, *SLOW)), ("PPO", True), ("OptionDQN", True)]
+    ("name", "subproc"), [*((name, False) for name in (*FAST, *SLOW)), ("MaskablePPO", True), ("OptionDQN", True)]
 )
 def test_cut_off_anywhere(name: str, subproc: bool, tmp_path: Path) -> None:
     def make() -> Any:

@@ -126,6 +126,19 @@ def test_training_goes_on_from_a_reset_after_random_failures(
         env.close()
 
 
+def test_a_walk_that_was_cut_off_is_a_failure(shown: list[Trajectory]) -> None:
+    """A return of at least −100 is easily had in a few steps."""
+    env = optioned_rooms()
+    discovery = SubgoalDiscoveryCallback(
+        FAST_DISCOVERY, demonstrations=shown, success=lambda trajectory: len(trajectory) < 100, max_new_options=1
+    )
+    PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, seed=0).learn(1, [discovery, EndsAtOnce()])
+    assert discovery.discovery is not None
+    walks = [each for each in discovery.discovery.database if each.trajectory.truncated]
+    assert len(walks) > 5
+    assert not any(each.success for each in walks)
+
+
 def test_random_actions_are_those_that_the_environment_allows() -> None:
     class OnlyUp(gym.Wrapper[Any, Any, Any, Any]):
         def action_masks(self) -> Any:

@@ -11,7 +11,7 @@ from sb3_options.envs.minigrid import DISCOVERY
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs.algorithms import checked_arguments
-from sb3_options.runs.config import ALGORITHMS, CLONING, FIELDS, configure
+from sb3_options.runs.config import ALGORITHMS, FIELDS, configure
 
 
 def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
@@ -42,8 +42,9 @@ def test_a_cloned_policy_gets_settings_of_its_own(algo: str) -> None:
         expected |= {"learning_rate": 3e-4}
     assert configure(algo=algo, demonstrations="a").algo_kwargs == expected
     assert configure(algo=algo, demonstrations="a", clone=False).algo_kwargs == usual
-    assert configure(algo=algo, demonstrations="a").max_runs == (5 if algo in CLONING else None)
+    assert configure(algo=algo, demonstrations="a").max_runs == (5 if algo == "maskableppo" else None)
     assert configure(algo=algo, demonstrations="a", clone=False).max_runs is None
+    assert configure(algo=algo, demonstrations="a", discovery={"segmentation": "peaks"}).max_runs is None
     assert configure(algo=algo, demonstrations="a", learning_rate=0.5).algo_kwargs["learning_rate"] == 0.5
 
 

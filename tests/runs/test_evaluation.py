@@ -45,6 +45,17 @@ def test_sampled_actions_differ_from_greedy_ones(tmp_path: Path) -> None:
     assert greedy.steps != sampled.steps
 
 
+def test_a_greedy_policy_samples_nothing(run: Path) -> None:
+    with pytest.raises(
+        ValueError, match=r"^The policy of dqn is greedy and samples no actions: leave --stochastic out"
+    ):
+        evaluate_run(run, stochastic=True)
+
+
+def test_the_limit_of_runs_is_that_of_the_environment() -> None:
+    assert runs.make_env(configure(max_runs=3), 1, 0).get_attr("max_runs") == [3]
+
+
 def test_weights_that_do_not_fit_are_named_in_one_line(run: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(run, tmp_path / "run"))
     config = configs.load(copy / runs.CONFIG)
