@@ -147,7 +147,7 @@ class TestTensorBoard:
 
 
 def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawing = "sb3_options.callbacks.summaries.map_figure"
+    drawing = "sb3_options.discovery.figures.map_figure"
     monkeypatch.setattr(drawing, lambda *_: pytest.fail("drew a picture"))
     callback = fast_callback()
     model_of().learn(STEPS, callback=callback)
