@@ -335,7 +335,7 @@ class OptionsVecEnv(VecEnvWrapper):
             self._recorders[env].begin(take(self._observations, env))
 
     def random_trajectories(self, episodes: int, max_steps: int, seed: int) -> list[Trajectory]:
-        """Episodes of random primitive actions, truncated after ``max_steps``; reset the environments afterwards.
+        """Return episodes of random primitive actions, truncated after ``max_steps``; reset afterwards.
 
         Of every environment the same number, because the first to end would be short ones.
         """

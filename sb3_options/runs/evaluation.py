@@ -1,4 +1,4 @@
-"""Evaluates a run by return, success and primitive steps of greedy episodes."""
+"""Evaluates a run by return, success rate and primitive steps."""
 
 from __future__ import annotations
 

@@ -238,10 +238,9 @@ def _learn(
         if resume:
             steps = load_checkpoint(where, model, callbacks)
             console.print(f"Going on after {steps:,} primitive steps.")
-            content = yaml_file.read_mapping(folder / runs.CONFIG)  # for the next `resume`
-            yaml_file.write(
-                folder / runs.CONFIG, content | {"n_timesteps": config.n_timesteps}
-            )  # for the next `resume`
+            content = yaml_file.read_mapping(folder / runs.CONFIG)
+            # For the next `resume`.
+            yaml_file.write(folder / runs.CONFIG, content | {"n_timesteps": config.n_timesteps})
         if interrupts.signal is None:
             console.print(
                 f"Training {config.algo.upper()} on {escape(config.env)} for {config.n_timesteps:,} primitive steps."
