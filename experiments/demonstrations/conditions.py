@@ -25,9 +25,9 @@ ARMS: tuple[Arm, ...] = get_args(Arm)
 TASKS = {
     "BabyAI-KeyCorridorS3R3-v0": 200_000,
     "BabyAI-KeyCorridorS4R3-v0": 300_000,
-    "BabyAI-KeyCorridorS6R3-v0": 300_000,
+    "BabyAI-KeyCorridorS6R3-v0": 1_000_000,
     "MiniGrid-ObstructedMaze-1Dl-v0": 400_000,
-    "MiniGrid-ObstructedMaze-2Dlh-v0": 300_000,
+    "MiniGrid-ObstructedMaze-2Dlh-v0": 1_000_000,
     "MiniGrid-LockedRoom-v0": 300_000,
 }
 """Frames after which a run is given up, by task."""
