@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor
-from sb3_options.experience.observations import batch_size, concatenate, key_of, take
+from sb3_options.experience.observations import batch_size, concatenate, keys_of, take
 from sb3_options.experience.trajectories import Trajectory
 
 MOST_BYTES = 32 << 20
@@ -34,9 +34,9 @@ class Replay:
             n = batch_size(trajectory.states)
             rows = np.empty(n, dtype=np.int64)
             fresh = []
-            for i in range(n):
+            for i, key in enumerate(keys_of(trajectory.states)):
                 before = len(row_of)
-                rows[i] = row_of.setdefault(key_of(take(trajectory.states, i)), before)
+                rows[i] = row_of.setdefault(key, before)
                 if rows[i] == before:
                     fresh.append(i)
             new.append(take(trajectory.states, np.array(fresh, dtype=np.int64)))

@@ -32,10 +32,11 @@ from sb3_options.experience.observations import (
     IntArray,
     Observations,
     batch_of_one,
+    keys_of,
+    replaced,
     singles,
     stack,
     take,
-    where,
 )
 from sb3_options.experience.option_run import OptionRun, RunInfo, Termination
 from sb3_options.experience.recording import TrajectoryRecorder
@@ -119,8 +120,9 @@ class OptionsVecEnv(VecEnvWrapper):
         self._shown: Any = None  # the same, but of a waiting one the observation in which its option was chosen
         self._running: dict[int, tuple[Option, RunUnderWay]] = {}  # by environment
         self._closed: set[int] = set()  # environments whose option was taken out of its slot while it runs
-        self._memberships: dict[int, tuple[Option, BoolArray, FloatArray]] = {}  # by the option's id
+        self._initiation: BoolArray | None = None  # (n_envs, max_options), where the environments are; None: not asked
         self._runs = np.zeros((self.num_envs, max_options), dtype=np.int64)
+        self._groups: list[tuple[Option, IntArray]] = []  # the same by option, in the present step
         self._actions = np.zeros(self.num_envs, dtype=np.int64)  # primitive ones, of the present step
         self._instead: BoolArray = np.zeros(self.num_envs, dtype=bool)  # whether they run in the place of a slot
         self._recorders: list[TrajectoryRecorder] = []
@@ -151,7 +153,7 @@ class OptionsVecEnv(VecEnvWrapper):
         """
         before = self.slot_state
         self.slot_state = now = with_changes(before, self.bank, self.features, changes)
-        self._memberships.clear()
+        self._initiation = None
         emptied = [slot for slot, option in changes.get("options", {}).items() if option is None]
         self._runs[:, emptied] = 0
         self._closed |= {env for env, (_, run) in self._running.items() if run.slot in emptied}
@@ -171,25 +173,18 @@ class OptionsVecEnv(VecEnvWrapper):
     def action_masks(self) -> BoolArray:
         """Which actions may be chosen now, (n_envs, n_primitive + max_options); where an option runs, it alone."""
         masks = np.ones((self.num_envs, self._n_actions), dtype=bool)
-        masks[:, self.n_primitive :] = self._may_start()
-        for env, (_, run) in self._running.items():
-            masks[env] = False
-            masks[env, self.n_primitive + run.slot] = True
+        masks[:, self.n_primitive :] = self._may_start() & self._may_run()
+        if self._running:
+            envs, slots = list(self._running), [run.slot for _, run in self._running.values()]
+            masks[envs] = False
+            masks[envs, self.n_primitive + np.array(slots)] = True
         return masks
 
     def _may_start(self) -> BoolArray:
-        """Which slots may start where the environments are, (n_envs, max_options)."""
-        slots = np.zeros(self._runs.shape, dtype=bool)
-        for slot in self.bank.filled:
-            slots[:, slot] = self._membership(self.bank[slot])[0]
-        return slots & self._may_run()
-
-    def _membership(self, option: Option | None) -> tuple[BoolArray, FloatArray]:
-        """I and β of an option where the environments are, (n_envs,) each, computed once."""
-        assert option is not None  # its slot is filled, or it runs
-        if id(option) not in self._memberships:
-            self._memberships[id(option)] = option, *option.membership(self._observations)
-        return self._memberships[id(option)][1:]
+        """Which slots' initiation sets hold where the environments are, (n_envs, max_options), computed once."""
+        if self._initiation is None:
+            self._initiation = self.bank.available_slots(self._observations)
+        return self._initiation
 
     def _may_run(self) -> BoolArray:
         """Which slots have not run ``max_runs`` times, (n_envs, max_options)."""
@@ -198,7 +193,7 @@ class OptionsVecEnv(VecEnvWrapper):
     def reset(self) -> Any:
         """Begin an episode in every environment; no option runs."""
         self._observations = self._shown = self.venv.reset()
-        self._memberships.clear()
+        self._initiation = None
         if self.features is not None and self.bank.feature_size is None:
             one = batch_of_one(take(self._observations, 0))
             self.bank.feature_size = feature_maps.checked_size(self.features.map, one)
@@ -221,31 +216,31 @@ class OptionsVecEnv(VecEnvWrapper):
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Begin one primitive step everywhere: a chosen one, or that of an option which begins or goes on."""
         actions = np.asarray(actions, dtype=np.int64).reshape(self.num_envs)
-        if not ((actions >= 0) & (actions < self._n_actions)).all():
+        if actions.min() < 0 or actions.max() >= self._n_actions:
             raise ValueError(f"actions must be between 0 and {self._n_actions - 1}, got {actions}.")
         slots = actions - self.n_primitive
         slots[list(self._running)] = -1
         self._instead = slots >= 0
-        may_run = self._may_run()
-        for slot in self.bank.filled if self._instead.any() else ():
-            envs: IntArray = np.flatnonzero((slots == slot) & may_run[:, slot])
-            self._instead[envs] = False
-            self._start(slot, envs)
-        self._actions = np.where(self._instead, slots % self.n_primitive, actions)
-        for option, envs in self._by_option():
+        chosen: list[int] = np.flatnonzero(self._instead).tolist()
+        for env in chosen:
+            self._instead[env] = not self._starts(env, int(slots[env]))
+        self._actions = np.where(self._instead, slots % self.n_primitive, actions) if chosen else actions.copy()
+        self._groups = self._by_option()
+        for option, envs in self._groups:
             self._actions[envs] = primitives_of(option, take(self._observations, envs), self.n_primitive)
         self.venv.step_async(self._actions)
 
-    def _start(self, slot: int, envs: IntArray) -> None:
+    def _starts(self, env: int, slot: int) -> bool:
+        """Start the option of a slot in an environment, if it is filled and may run, and return whether it did."""
         option = self.bank[slot]
-        assert option is not None  # the slot is filled
-        initiation, _ = self._membership(option)
-        self._runs[envs, slot] += initiation[envs]
-        for env in envs.tolist():
-            run = RunUnderWay(slot, take(self._observations, env), self.gamma, inside=bool(initiation[env]))
-            self._running[env] = option, run
+        if option is None or (self.max_runs is not None and self._runs[env, slot] >= self.max_runs):
+            return False
+        inside = bool(self._may_start()[env, slot])
+        self._runs[env, slot] += inside
+        self._running[env] = option, RunUnderWay(slot, take(self._observations, env), self.gamma, inside=inside)
+        return True
 
-    def _by_option(self) -> Iterable[tuple[Option, IntArray]]:
+    def _by_option(self) -> list[tuple[Option, IntArray]]:
         """The options that run, each with its environments; one that was replaced may run beside the later one."""
         groups: dict[int, tuple[Option, list[int]]] = {}
         for env, (option, _) in self._running.items():
@@ -256,46 +251,62 @@ class OptionsVecEnv(VecEnvWrapper):
         """Observations, rewards, whether episodes ended, and infos, as the class describes."""
         observations: Any
         observations, given, dones, infos = self.venv.step_wait()
-        for info in infos:
-            refuse_own(info, "option")
         # Copies, because an environment may hand out one and the same dictionary every time.
-        infos = [{**info, "option": self._primitive} for info in infos]
-        led = _arrived_in(observations, dones, infos)
+        infos = [{"option": self._primitive, **info} for info in infos]
+        if any(info["option"] is not self._primitive for info in infos):
+            refuse_own({"option": None}, "option")
+        ended: list[int] = np.flatnonzero(dones).tolist()
+        led = observations
+        if ended:
+            led = replaced(observations, ended, stack([infos[env]["terminal_observation"] for env in ended]))
         self._record(given, led, dones, infos)
         self._observations = observations
-        self._memberships.clear()
+        self._initiation = None
         rewards = np.array(given, dtype=np.result_type(np.asarray(given), np.float32))  # sums of whole ones are none
-        endings: dict[int, Termination] = {}
-        for env, (option, run) in self._running.items():
-            run.add(int(self._actions[env]), given[env], take(led, env))
-            why = _end_of_episode(infos[env]) if dones[env] else self._why_ended(env, option, run)
-            rewards[env] = 0.0 if why is None else run.total
-            if why is not None:
-                endings[env] = why
+        endings = self._go_on(given, led, dones, infos)
+        for env, (_, run) in self._running.items():
+            rewards[env] = run.total if env in endings else 0.0
         self._report(endings, led, infos)
         for env in endings:
             del self._running[env]
             self._closed.discard(env)
-        self._runs[dones] = 0
-        waits = np.zeros(self.num_envs, dtype=bool)
-        waits[list(self._running)] = True
-        self._shown = where(waits, self._shown, observations) if self._running else observations
-        self._begin_recording(np.flatnonzero(dones).tolist())
+        waiting = list(self._running)
+        self._shown = replaced(observations, waiting, take(self._shown, waiting)) if waiting else observations
+        if ended:
+            self._runs[ended] = 0
+            self._begin_recording(ended)
         return self._shown, rewards, dones, infos
 
-    def _why_ended(self, env: int, option: Option, run: RunUnderWay) -> Termination | None:
-        initiation, termination = self._membership(option)
-        return why_ended(
-            len(run.actions),
-            option.max_duration,
-            float(termination[env]),
-            self._random[env],
-            goes_on=run.inside and bool(initiation[env]),
-        )
+    def _go_on(
+        self, rewards: npt.NDArray[Any], led: Observations, dones: npt.NDArray[Any], infos: Infos
+    ) -> dict[int, Termination]:
+        """Add the present step to the options that run, and return why they ended, by environment, where they did."""
+        endings: dict[int, Termination] = {}
+        for option, envs in self._groups:
+            places = take(led, envs)
+            inside, termination = option.membership(places)
+            rows = zip(envs.tolist(), singles(places), inside.tolist(), termination.tolist(), strict=True)
+            for env, observation, goes_on, probability in rows:
+                run = self._running[env][1]
+                run.add(int(self._actions[env]), rewards[env], observation)
+                why = (
+                    _end_of_episode(infos[env])
+                    if dones[env]
+                    else why_ended(
+                        len(run.actions),
+                        option.max_duration,
+                        probability,
+                        self._random[env],
+                        goes_on=run.inside and goes_on,
+                    )
+                )
+                if why is not None:
+                    endings[env] = why
+        return endings
 
     def _report(self, endings: dict[int, Termination], led: Observations, infos: Infos) -> None:
         """Put what ran into ``info["option"]``, where it was no chosen primitive."""
-        for env in np.flatnonzero(self._instead).tolist():
+        for env in np.flatnonzero(self._instead).tolist() if self._instead.any() else ():
             infos[env]["option"] = RunInfo(self._primitive, actions=self._actions[env : env + 1].copy())
         reports = self.slot_state.report_availability and bool(self.bank.filled)
         arrived = self.bank.available_slots(led) & self._may_run() if reports else None
@@ -319,11 +330,11 @@ class OptionsVecEnv(VecEnvWrapper):
     def _record(self, rewards: npt.NDArray[Any], led: Observations, dones: npt.NDArray[Any], infos: Infos) -> None:
         if not self._recorders:
             return
-        rows = zip(self._recorders, self._actions.tolist(), rewards.tolist(), singles(led), dones, infos, strict=True)
-        for recorder, action, reward, observation, done, info in rows:
-            recorder.record(action, reward, observation)
-            refuse_own(info, "trajectory", "segments")
+        steps = zip(self._actions.tolist(), rewards.tolist(), singles(led), keys_of(led), strict=True)
+        for recorder, step, done, info in zip(self._recorders, steps, dones.tolist(), infos, strict=True):
+            recorder.record(*step)
             if done:
+                refuse_own(info, "trajectory", "segments")
                 truncated = _end_of_episode(info) == "truncated"
                 recorder.end(terminated=not truncated, truncated=truncated, is_success=success_in(info))
             if recorder.finished:
@@ -381,19 +392,8 @@ class OptionsVecEnv(VecEnvWrapper):
             return self.venv.env_method(method_name, *method_args, indices=indices, **method_kwargs)
         result = getattr(self, method_name)(*method_args, **method_kwargs)
         envs = self._get_indices(indices)
-        return [result[env] for env in envs] if method_name == "action_masks" else [result for _ in envs]
+        return list(result[envs]) if method_name == "action_masks" else [result for _ in envs]
 
 
 def _end_of_episode(info: dict[str, Any]) -> Termination:
     return "truncated" if info.get("TimeLimit.truncated") else "terminated"
-
-
-def _arrived_in(observations: Observations, dones: npt.NDArray[Any], infos: Infos) -> Observations:
-    """The observations to which steps led: those that ended an episode instead of those of the next one."""
-    ended = np.flatnonzero(dones)
-    if not len(ended):
-        return observations
-    last = stack([infos[env]["terminal_observation"] for env in ended.tolist()])
-    places = np.zeros(len(dones), dtype=np.int64)
-    places[ended] = np.arange(len(ended))
-    return where(np.asarray(dones, dtype=bool), take(last, places), observations)

@@ -50,7 +50,7 @@ def stack(observations: list[Any]) -> Observations:
     return np.array(observations)
 
 
-def take(observations: Observations, indices: IntArray | slice | int) -> Any:
+def take(observations: Observations, indices: IntArray | Sequence[int] | slice | int) -> Any:
     """Return the observations at ``indices``, in that order, as a batch; at a single index one observation."""
     return _of_each(lambda array: array[indices], observations)
 
@@ -70,20 +70,30 @@ def concatenate(batches: Sequence[Observations]) -> Observations:
     return np.concatenate(cast("Sequence[npt.NDArray[Any]]", batches))
 
 
-def where(mask: BoolArray, one: Observations, other: Observations) -> Observations:
-    """Return the observations of one batch where a mask, (batch,), is true, and of another elsewhere."""
-    if isinstance(one, Mapping):
-        return {key: np.where(_along(mask, part), part, np.asarray(other[key])) for key, part in one.items()}
-    return np.where(_along(mask, one), one, cast("npt.NDArray[Any]", other))
-
-
-def _along(mask: BoolArray, array: npt.NDArray[Any]) -> BoolArray:
-    return mask.reshape(-1, *[1] * (array.ndim - 1))
+def replaced(observations: Observations, rows: Sequence[int], others: Observations) -> Any:
+    """Return a copy of a batch with other observations in some of its rows."""
+    if isinstance(observations, Mapping):
+        return {key: replaced(part, rows, np.asarray(others[key])) for key, part in observations.items()}
+    copy = np.array(observations)
+    copy[rows] = others
+    return copy
 
 
 def copy_of(observation: Any) -> Any:
     """Copy one observation: some environments write every observation into the same array."""
     return _of_each(np.array, observation)
+
+
+def keys_of(observations: Observations) -> list[bytes]:
+    """Return the `key_of` of each observation of a batch."""
+    if isinstance(observations, Mapping):
+        parts = [keys_of(np.asarray(observations[k])) for k in sorted(observations)]
+        return [b"".join(of_one) for of_one in zip(*parts, strict=True)]
+    size = math.prod(observations.shape[1:])
+    if not size:
+        return [b""] * len(observations)
+    rows = np.ascontiguousarray(observations).reshape(len(observations), size)
+    return rows.view(f"V{size * rows.itemsize}").ravel().tolist()
 
 
 def key_of(observation: Any) -> bytes:

@@ -49,8 +49,8 @@ class TrajectoryRecorder:
         self._start(observation)
         self._gave_up = False
 
-    def record(self, action: int, reward: float, observation: Any) -> None:
-        """Add one primitive step that led to ``observation``."""
+    def record(self, action: int, reward: float, observation: Any, key: bytes | None = None) -> None:
+        """Add one primitive step that led to ``observation``, with its `key_of` if that is known."""
         if len(self._actions) == LONGEST_EPISODE:
             self._gave_up = True
             self._forget()
@@ -63,7 +63,7 @@ class TrajectoryRecorder:
         if not self._gave_up:
             self._actions.append(action)
             self._rewards.append(reward)
-            self._visit(observation)
+            self._visit(observation, key)
 
     def end(self, *, terminated: bool, truncated: bool, is_success: bool | None) -> None:
         """Complete the episode as a `Trajectory`, unless it was too long."""
@@ -119,8 +119,8 @@ class TrajectoryRecorder:
         self._forget()
         self._visit(observation)
 
-    def _visit(self, observation: Any) -> None:
-        row = self._row_of.setdefault(obs_batch.key_of(observation), len(self._states))
+    def _visit(self, observation: Any, key: bytes | None = None) -> None:
+        row = self._row_of.setdefault(key or obs_batch.key_of(observation), len(self._states))
         if row == len(self._states):
             self._states.append(obs_batch.copy_of(observation))
         self._visits.append(row)
@@ -153,14 +153,14 @@ class SegmentRecorder(TrajectoryRecorder):
         self._before = -math.inf
         self._may_be_peak = False
 
-    def record(self, action: int, reward: float, observation: Any) -> None:
+    def record(self, action: int, reward: float, observation: Any, key: bytes | None = None) -> None:
         """Add one primitive step that led to ``observation``; the step before may turn out to be a peak."""
         if self._may_be_peak:
             if not reward > self._before:
                 self._cut(success=True)
             elif self._is_full():
                 self._cut(success=False)
-        super().record(action, reward, observation)
+        super().record(action, reward, observation, key)
         self._may_be_peak = reward > max(0.0, self._before)
         self._before = reward
         if self._is_full() and not self._may_be_peak:

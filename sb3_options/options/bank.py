@@ -14,7 +14,7 @@ from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
 from sb3_options.options.archive import Source
 from sb3_options.options.file import MAX_SLOTS, OptionsFile, SpaceSignature, check_signature, content_of, opened
-from sb3_options.options.option import KnownFeatures, Option, SingleCache, SubgoalOption
+from sb3_options.options.option import KnownFeatures, KnownResults, Option, SubgoalOption
 from sb3_options.options.sealed import errors_of
 
 
@@ -127,8 +127,8 @@ class OptionBank:
         return mask
 
     def _forget_results(self) -> None:
-        self._by_data = all(isinstance(self._slots[slot], SubgoalOption) for slot in self.filled)
-        self._known: SingleCache[BoolArray] = SingleCache()  # a hand-made option may have a memory
+        self._by_data = self.filled != () and all(isinstance(self._slots[slot], SubgoalOption) for slot in self.filled)
+        self._known: KnownResults[np.bool_] = KnownResults()  # a hand-made option may have a memory
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the discovered options to a safetensors file, atomically: arrays and JSON, nothing that can run.
@@ -197,7 +197,7 @@ class OptionBank:
         # Functions may not travel between processes; the receiver of the bank has its own feature map. A learned
         # map is data, and belongs to `content`.
         learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
-        return {**self.__dict__, "feature_map": learned, "_shared": None, "_known": SingleCache()}
+        return {**self.__dict__, "feature_map": learned, "_shared": None, "_known": KnownResults()}
 
     def check_slot(self, slot: int) -> None:
         """Refuse an unknown slot."""

@@ -19,35 +19,66 @@ from sb3_options.state import storable
 
 CACHE_BYTES = 4 << 20  # memory of each cache of a `SubgoalOption`, observations included; approximate
 CACHE_ENTRY_BYTES = 400  # memory of one cached result besides its observation; measured, rounded up
+CACHE_BATCH = 128  # largest batch that is looked up: a larger one is computed as quickly
 
-Result = TypeVar("Result")
+Result = TypeVar("Result", bound=np.generic)
 
 
-class SingleCache(Generic[Result]):
-    """Caches a function's results for single observations. Small environments repeat theirs.
+class KnownResults(Generic[Result]):
+    """Caches a function's results by observation. Small environments repeat theirs.
+
+    If, when the memory is used up, most observations were new, it caches nothing any more.
 
     The function is passed with every call. If an option's caches held its own methods, only the garbage collector could
     free the option. Its table and all results would linger each time a later version replaces it.
     """
 
     def __init__(self) -> None:
-        self._results: dict[bytes, Result] = {}
+        self._results: dict[bytes, npt.NDArray[Result]] = {}
         self._bytes = 0
+        self._hits = 0
+        self._gave_up = False
 
-    def __call__(self, compute: Callable[[Observations], Result], observations: Observations) -> Result:
-        """Return the result of ``compute``, always the same function, and cache it for a single observation."""
+    def __call__(
+        self, compute: Callable[[Observations], npt.NDArray[Result]], observations: Observations
+    ) -> npt.NDArray[Result]:
+        """Return the result of ``compute``, always the same function, (batch, ...). Only copies may be changed."""
         array = observations if type(observations) is np.ndarray else None  # without calls: this runs in every step
-        if (obs_batch.batch_size(observations) if array is None else len(array)) != 1:
+        n = obs_batch.batch_size(observations) if array is None else len(array)
+        if self._gave_up or not 1 <= n <= CACHE_BATCH:
             return compute(observations)
+        if n > 1:
+            return self._of_batch(compute, observations)
         key = obs_batch.key_of(observations) if array is None else array.tobytes()
         result = self._results.get(key)
         if result is None:
-            if self._bytes > CACHE_BYTES:
-                self._results.clear()
-                self._bytes = 0
-            result = self._results[key] = compute(observations)
-            self._bytes += len(key) + CACHE_ENTRY_BYTES
+            result = compute(observations)
+            self._keep([key], [result])
+        else:
+            self._hits += 1
         return result
+
+    def _of_batch(
+        self, compute: Callable[[Observations], npt.NDArray[Result]], observations: Observations
+    ) -> npt.NDArray[Result]:
+        keys = obs_batch.keys_of(observations)
+        results: list[Any] = list(map(self._results.get, keys))
+        new = [i for i, result in enumerate(results) if result is None]
+        self._hits += len(keys) - len(new)
+        if new:
+            computed = compute(observations if len(new) == len(keys) else obs_batch.take(observations, np.array(new)))
+            for place, i in enumerate(new):
+                results[i] = computed[place : place + 1]
+            self._keep([keys[i] for i in new], [results[i] for i in new])
+        return np.concatenate(results)
+
+    def _keep(self, keys: list[bytes], results: list[Any]) -> None:
+        if self._bytes > CACHE_BYTES:
+            self._gave_up = self._hits < len(self._results)
+            self._results.clear()
+            self._bytes = self._hits = 0
+        self._results |= zip(keys, results, strict=True)
+        self._bytes += sum(map(len, keys)) + CACHE_ENTRY_BYTES * len(keys)
 
 
 class KnownFeatures:
@@ -55,7 +86,7 @@ class KnownFeatures:
 
     def __init__(self, of: FeatureMap) -> None:
         self.of = of
-        self._known: SingleCache[FloatArray] = SingleCache()
+        self._known: KnownResults[np.float64] = KnownResults()
 
     def __call__(self, observations: Observations) -> FloatArray:
         """Return φ of a batch of observations, (batch, d)."""
@@ -173,11 +204,11 @@ class SubgoalOption(Option):
         self._forget_results()
 
     def _forget_results(self) -> None:
-        self._membership: SingleCache[tuple[BoolArray, BoolArray]] = SingleCache()
-        self._greedy: SingleCache[IntArray] = SingleCache()
+        self._membership: KnownResults[np.bool_] = KnownResults()  # (batch, 2): I and β
+        self._greedy: KnownResults[np.integer[Any]] = KnownResults()
         # By features: many observations have the same. Copies that are bound to the φ of other environments share them.
-        self._places: SingleCache[tuple[BoolArray, BoolArray]] = SingleCache()
-        self._actions_at: SingleCache[IntArray] = SingleCache()
+        self._places: KnownResults[np.bool_] = KnownResults()
+        self._actions_at: KnownResults[np.integer[Any]] = KnownResults()
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """Return the same option with φ set."""
@@ -200,7 +231,7 @@ class SubgoalOption(Option):
 
     def initiation(self, observations: Observations) -> BoolArray:
         """Return whether each observation lies in I, shape (batch,)."""
-        return self._membership(self._computed_membership, observations)[0].copy()
+        return self._membership(self._computed_membership, observations)[:, 0].copy()
 
     def policy(self, observations: Observations) -> IntArray:
         """Return the greedy action of the option's value function, shape (batch,)."""
@@ -208,19 +239,19 @@ class SubgoalOption(Option):
 
     def termination(self, observations: Observations) -> FloatArray:
         """Return 1 at the subgoal, else 0, shape (batch,)."""
-        return self._membership(self._computed_membership, observations)[1].astype(np.float64)
+        return self._membership(self._computed_membership, observations)[:, 1].astype(np.float64)
 
     def membership(self, observations: Observations) -> tuple[BoolArray, FloatArray]:
         """Return `initiation` and `termination` at once."""
-        inside, reached = self._membership(self._computed_membership, observations)
-        return inside.copy(), reached.astype(np.float64)
+        membership = self._membership(self._computed_membership, observations)
+        return membership[:, 0].copy(), membership[:, 1].astype(np.float64)
 
-    def _computed_membership(self, observations: Observations) -> tuple[BoolArray, BoolArray]:
+    def _computed_membership(self, observations: Observations) -> BoolArray:
         return self._places(self._membership_of, self._features(observations))
 
-    def _membership_of(self, features: Any) -> tuple[BoolArray, BoolArray]:
+    def _membership_of(self, features: Any) -> BoolArray:
         reached = self.subgoal.contains(features)
-        return self.initiation_set.contains(features) & ~reached, reached
+        return np.column_stack([self.initiation_set.contains(features) & ~reached, reached])
 
     def _computed_actions(self, observations: Observations) -> IntArray:
         if self.policy_input != "features":

@@ -13,6 +13,8 @@ from sb3_options.experience.observations import (
     copy_of,
     flatten,
     key_of,
+    keys_of,
+    replaced,
     stack,
     take,
 )
@@ -59,6 +61,22 @@ def test_keys_are_equal_exactly_if_observations_are() -> None:
     assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
     assert key_of({"a": 1, "b": 2}) != key_of({"a": 2, "b": 1})
     assert key_of(np.array([0.1 + 0.2])) != key_of(np.array([0.3]))
+
+
+@pytest.mark.parametrize(
+    "observations", [[0, 1, 1], ARRAYS, DICTS, [np.zeros(0)] * 2, [np.asfortranarray(np.eye(2)), np.ones((2, 2))]]
+)
+def test_keys_of_a_batch_are_those_of_each(observations: list[Any]) -> None:
+    assert keys_of(stack(observations)) == [key_of(each) for each in observations]
+    assert keys_of(take(stack(observations), slice(0, 0))) == []
+
+
+@pytest.mark.parametrize("observations", [[0, 1, 2], ARRAYS, DICTS])
+def test_replaced_rows_leave_the_batch_as_it_was(observations: list[Any]) -> None:
+    batch = stack(observations)
+    changed = replaced(batch, [0, 2], stack([observations[1], observations[0]]))
+    assert same(changed, stack([observations[1], observations[1], observations[0]]))
+    assert same(batch, stack(observations))
 
 
 @pytest.mark.parametrize("kind", [dict, OrderedDict, MappingProxyType])
