@@ -74,8 +74,7 @@ class MiniGridWrapper(
 
     def observation(self, observation: dict[str, Any]) -> Vector:
         """Return the vector of an observation."""
-        image = np.asarray(observation["image"])
-        cells = np.concatenate([_EYES[i][image[..., i]] for i in range(3)], axis=-1).ravel()
+        cells = self.vectors(np.asarray(observation["image"]))
         if not self._missions.n_words:
             return cells
         words = self._missions.code(observation["mission"])
@@ -85,6 +84,11 @@ class MiniGridWrapper(
                 "by mission=False, with train.py --env-kwargs mission:False."
             )
         return np.concatenate([cells, words])
+
+    def vectors(self, images: npt.NDArray[np.uint8]) -> Vector:
+        """Return the observations (..., n) of images (..., v, v, 3), without the words of missions."""
+        cells = np.concatenate([_EYES[i][images[..., i]] for i in range(3)], axis=-1)
+        return cells.reshape(*images.shape[:-3], self._n_cells)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
         """Reset the environment."""

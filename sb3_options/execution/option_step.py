@@ -84,10 +84,14 @@ def run_option(
         elif truncated:
             termination = "truncated"
         else:
-            batch = batch_of_one(observation)
-            probability = float(option.termination(batch)[0])
-            goes_on = inside and bool(option.initiation(batch)[0])
-            termination = why_ended(len(run.actions), option.max_duration, probability, random, goes_on=goes_on)
+            initiation, probability = option.membership(batch_of_one(observation))
+            termination = why_ended(
+                len(run.actions),
+                option.max_duration,
+                float(probability[0]),
+                random,
+                goes_on=inside and bool(initiation[0]),
+            )
         if termination is None:
             action = primitive_of(option, run.observations[-1], n_primitive)
             mask = legal()

@@ -101,7 +101,7 @@ class OptionBank:
 
     def bind(self, feature_map: FeatureMap | None) -> None:
         """Use ``feature_map`` for present and future discovered options."""
-        self.feature_map = feature_map
+        self.feature_map, self._shared = feature_map, None
         self._slots = [option and self._bound(option) for option in self._slots]
         self._forget_results()
 
@@ -122,8 +122,14 @@ class OptionBank:
 
     def _computed_slots(self, observations: Observations) -> BoolArray:
         mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
+        features = None
         for slot in self.filled:
-            mask[:, slot] = cast("Option", self._slots[slot]).initiation(observations)
+            option = cast("Option", self._slots[slot])
+            if isinstance(option, SubgoalOption) and self._shared is not None:  # all of them are bound to it
+                features = option.features(observations) if features is None else features
+                mask[:, slot] = option.membership_at(features)[:, 0]
+            else:
+                mask[:, slot] = option.initiation(observations)
         return mask
 
     def _forget_results(self) -> None:

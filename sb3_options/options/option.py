@@ -82,15 +82,18 @@ class KnownResults(Generic[Result]):
 
 
 class KnownFeatures:
-    """A feature map φ that caches the features of single observations, which all options of a bank need."""
+    """A feature map φ that caches features, which all options of a bank need."""
 
     def __init__(self, of: FeatureMap) -> None:
         self.of = of
         self._known: KnownResults[np.float64] = KnownResults()
 
     def __call__(self, observations: Observations) -> FloatArray:
-        """Return φ of a batch of observations, (batch, d)."""
-        return self._known(self.of, observations)
+        """Return φ of a batch of observations, (batch, d). Not to be changed."""
+        return self._known(self._computed, observations)
+
+    def _computed(self, observations: Observations) -> FloatArray:
+        return np.asarray(self.of(observations), dtype=np.float64)
 
 
 class Option:
@@ -200,22 +203,26 @@ class SubgoalOption(Option):
     def __post_init__(self, feature_map: FeatureMap | None) -> None:
         """Bind the option to φ, if there is one."""
         self.max_duration = checked_duration(self.max_duration)
-        self._feature_map = feature_map
+        self._set_feature_map(feature_map)
         self._forget_results()
 
     def _forget_results(self) -> None:
-        self._membership: KnownResults[np.bool_] = KnownResults()  # (batch, 2): I and β
         self._greedy: KnownResults[np.integer[Any]] = KnownResults()
         # By features: many observations have the same. Copies that are bound to the φ of other environments share them.
-        self._places: KnownResults[np.bool_] = KnownResults()
+        self._membership: KnownResults[np.bool_] = KnownResults()
         self._actions_at: KnownResults[np.integer[Any]] = KnownResults()
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """Return the same option with φ set."""
         bound = copy.copy(self)
-        bound._feature_map = feature_map
-        bound._places, bound._actions_at = self._places, self._actions_at
+        bound._set_feature_map(feature_map)
+        bound._membership, bound._actions_at = self._membership, self._actions_at
         return bound
+
+    def _set_feature_map(self, feature_map: FeatureMap | None) -> None:
+        if feature_map is not None and not isinstance(feature_map, KnownFeatures):
+            feature_map = KnownFeatures(feature_map)
+        self._feature_map = feature_map
 
     def with_policy(self, option_policy: OptionPolicy) -> SubgoalOption:
         """Return the same option with another π, not yet bound to φ."""
@@ -231,7 +238,7 @@ class SubgoalOption(Option):
 
     def initiation(self, observations: Observations) -> BoolArray:
         """Return whether each observation lies in I, shape (batch,)."""
-        return self._membership(self._computed_membership, observations)[:, 0].copy()
+        return self.membership_at(self.features(observations))[:, 0].copy()
 
     def policy(self, observations: Observations) -> IntArray:
         """Return the greedy action of the option's value function, shape (batch,)."""
@@ -239,15 +246,16 @@ class SubgoalOption(Option):
 
     def termination(self, observations: Observations) -> FloatArray:
         """Return 1 at the subgoal, else 0, shape (batch,)."""
-        return self._membership(self._computed_membership, observations)[:, 1].astype(np.float64)
+        return self.membership_at(self.features(observations))[:, 1].astype(np.float64)
 
     def membership(self, observations: Observations) -> tuple[BoolArray, FloatArray]:
         """Return `initiation` and `termination` at once."""
-        membership = self._membership(self._computed_membership, observations)
+        membership = self.membership_at(self.features(observations))
         return membership[:, 0].copy(), membership[:, 1].astype(np.float64)
 
-    def _computed_membership(self, observations: Observations) -> BoolArray:
-        return self._places(self._membership_of, self._features(observations))
+    def membership_at(self, features: FloatArray) -> BoolArray:
+        """Return whether each row of φ (batch, d) lies in I, and in the subgoal, (batch, 2). Not to be changed."""
+        return self._membership(self._membership_of, features)
 
     def _membership_of(self, features: Any) -> BoolArray:
         reached = self.subgoal.contains(features)
@@ -256,18 +264,19 @@ class SubgoalOption(Option):
     def _computed_actions(self, observations: Observations) -> IntArray:
         if self.policy_input != "features":
             return self.option_policy.actions(observations)
-        return self._actions_at(self.option_policy.actions, self.initiation_set.own(self._features(observations)))
+        return self._actions_at(self.option_policy.actions, self.initiation_set.own(self.features(observations)))
 
-    def _features(self, observations: Observations) -> FloatArray:
+    def features(self, observations: Observations) -> FloatArray:
+        """Return φ of a batch of observations, (batch, d). Not to be changed."""
         if self._feature_map is None:
             raise ValueError(
                 f"Option {self.name!r} has no feature map: add it to the bank of an OptionsWrapper that has one, "
                 "or call option.bind(feature_map)."
             )
-        return np.asarray(self._feature_map(observations), dtype=np.float64)
+        return self._feature_map(observations)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_greedy", "_places", "_actions_at")}
+        kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_greedy", "_actions_at")}
         return {**kept, "_feature_map": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -1,0 +1,154 @@
+"""What a frame with options costs in MiniGrid, beside one of stock PPO.
+
+``python -m benchmarks.minigrid_frames --out FOLDER`` trains both through the first stage of a family of
+``experiments.minigrid``. There options are discovered. Then both train on in the last stage and take turns, a rollout
+with its updates each; ratios are those of a turn. It writes ``results.json``.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Semaphore, Thread
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from rich.table import Table
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+
+from experiments.common.study import show, write
+from experiments.minigrid import settings
+from experiments.minigrid.agents import model_of, venv_of
+from experiments.minigrid.settings import FAMILIES, Arm
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.runs.intervals import mean_interval
+
+BAR = 1.2
+"""Largest ratio of processor time per frame."""
+
+ARMS: tuple[Arm, Arm] = ("discovered", "stock, curriculum")
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Time frames with options and without, in turns.
+
+    Attributes:
+        out: Folder for results.json.
+        families: Keys of ``experiments.minigrid.settings.FAMILIES``, with commas between.
+        frames: Primitive steps of each agent in the last stage.
+        seed: Of everything random.
+    """
+
+    out: Path
+    families: str = "MultiRoom-4,KeyCorridor"
+    frames: int = 60_000
+    seed: int = 0
+
+
+class Turns(BaseCallback):
+    """Lets two trainings take turns, a rollout with its updates each.
+
+    Args:
+        mine: Is released when it is this one's turn.
+        other: Likewise of the other.
+
+    Attributes:
+        marks: Primitive steps and seconds of processor time when each turn ended.
+    """
+
+    def __init__(self, mine: Semaphore, other: Semaphore) -> None:
+        super().__init__()
+        self.mine, self.other = mine, other
+        self.marks: list[tuple[int, float]] = []
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        self.marks.append((self.model.num_timesteps, time.thread_time()))
+        self.other.release()
+        self.mine.acquire()
+
+    def costs(self) -> list[float]:
+        """Microseconds per frame in each turn but the first, in which kernels compile and caches fill."""
+        turns = zip(self.marks, self.marks[1:], strict=False)
+        return [(later - sooner) / (after - before) * 1e6 for (before, sooner), (after, later) in turns][1:]
+
+
+def discovery(*, grow: bool) -> SubgoalDiscoveryCallback:
+    """As in ``experiments.minigrid``: options grow in the first stage and in the last, where no more are discovered."""
+    return SubgoalDiscoveryCallback(
+        settings.DISCOVERY,
+        settings.options_of(0 if grow else 1),
+        max_new_options=None if grow else 0,
+        use={"max_option_exploration": settings.OPENING_SHARE, "primitive_rollouts": True},
+    )
+
+
+def trained(family: str, arm: Arm, seed: int) -> tuple[BaseAlgorithm, list[BaseCallback], int]:
+    """A model in the last stage after training in the first, its callbacks, and how many options it has."""
+    first, last = FAMILIES[family][0], FAMILIES[family][-1]
+    slots = settings.max_options(family) if arm == "discovered" else 0
+    model = model_of(arm, venv_of(first.env_id, seed, slots=slots), seed)
+    if not slots:
+        model.learn(first.frames)
+        model.set_env(venv_of(last.env_id, seed))
+        return model, [], 0
+    found = discovery(grow=True)
+    model.learn(first.frames, callback=found)
+    with tempfile.TemporaryDirectory() as folder:
+        options = Path(folder) / "options"
+        found.bank.save(options)
+        model.set_env(venv_of(last.env_id, seed, slots=slots, options=options))
+    return model, [discovery(grow=False)], len(found.bank)
+
+
+def race(family: str, frames: int, seed: int) -> dict[str, Any]:
+    """Costs of a frame in every turn, and their ratio."""
+    contestants = {arm: trained(family, arm, seed) for arm in ARMS}
+    semaphores = Semaphore(0), Semaphore(0)
+    turns = {arm: Turns(*of) for arm, of in zip(ARMS, (semaphores, semaphores[::-1]), strict=True)}
+
+    def train(arm: Arm) -> None:
+        model, callbacks, _ = contestants[arm]
+        try:
+            model.learn(frames, callback=[*callbacks, turns[arm]])
+        finally:  # the other one need not wait any more
+            turns[arm].other.release(frames)
+
+    threads = [Thread(target=train, args=(arm,)) for arm in ARMS]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    costs = [turns[arm].costs() for arm in ARMS]
+    ratio = mean_interval(np.array([one / other for one, other in zip(*costs, strict=False)]))
+    medians = {arm: float(np.median(of)) for arm, of in zip(ARMS, costs, strict=True)}
+    options = contestants["discovered"][2]
+    return {"microseconds": medians, "options": options, "n_turns": min(map(len, costs)), **ratio._asdict(), "bar": BAR}
+
+
+def main(benchmark: Benchmark) -> None:
+    """Run the benchmark, and write and print what it found."""
+    torch.set_num_threads(1)
+    families = benchmark.families.split(",")
+    command = f"python -m benchmarks.minigrid_frames --families {benchmark.families} --frames {benchmark.frames}"
+    command += f" --seed {benchmark.seed} --out FOLDER"
+    results = {family: race(family, benchmark.frames, benchmark.seed) for family in families}
+    write(benchmark.out, {"command": command, **results}, {}, dpi=110)
+    table = Table("", "options", *(f"{arm}, µs a frame" for arm in ARMS), "ratio", "95 % interval", "bar")
+    for family, of in results.items():
+        cells = (f"{cost:.0f}" for cost in of["microseconds"].values())
+        interval = f"{of['low']:.2f} to {of['high']:.2f}"
+        table.add_row(family, str(of["options"]), *cells, f"{of['mean']:.2f}", interval, f"≤ {BAR}")
+    show(table, f"Results: {benchmark.out}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Benchmark))
