@@ -34,6 +34,9 @@ from sb3_options.state import restore
 
 SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is 4 episodes
 
+SETTLED, SETTLED_EPISODES = 0.7, 50
+"""Success rate, in so many episodes, from which the options of a cloned policy are not learned anew."""
+
 
 class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
     """Discovers options while a model trains (McGovern & Barto 2001, Table 1).
@@ -217,7 +220,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         log_discovery(self.logger, self._keeper, self.num_timesteps)
 
     def _learn_from(self, trajectory: Trajectory, success: bool) -> None:
-        made = self._keeper.learn_from(trajectory, success, self.episodes, self.num_timesteps)
+        grow = not self._is_settled()
+        made = self._keeper.learn_from(trajectory, success, self.episodes, self.num_timesteps, grow=grow)
         if made is None:
             return
         if self.verbose:
@@ -225,6 +229,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             print(f"Option {made.slot}: reach {made.where}, after {self.episodes} episodes and {steps} steps")
         save_or_warn(self._keeper.options.bank, self.save_path)
         draw_discovery(self.logger, self._keeper)
+
+    def _is_settled(self) -> bool:
+        """Return whether a cloned policy succeeds so often that its options stay as they were when it was cloned."""
+        recent = self.history[-SETTLED_EPISODES:]
+        cloned = self.demonstrations is not None and self.clone and can_clone(self.model)
+        return cloned and sum(episode.success for episode in recent) >= SETTLED * max(1, len(recent))
 
     def _close_option(self, slot: int, why: Verdict) -> None:
         self._keeper.close(ClosedOption(slot, self.episodes, self.num_timesteps, why))

@@ -105,8 +105,10 @@ class OptionKeeper:
         full = len(self.options.installed()) == self.options.bank.max_options
         return full and (self.most is None or len(self.made) < self.most)
 
-    def learn_from(self, trajectory: Trajectory, success: bool, episode: int, timestep: int) -> DiscoveredOption | None:
-        """Let discovery and options learn from a trajectory, and return the new option, if any."""
+    def learn_from(
+        self, trajectory: Trajectory, success: bool, episode: int, timestep: int, *, grow: bool
+    ) -> DiscoveredOption | None:
+        """Let discovery learn from a trajectory, and options if they may ``grow``. Return the new option, if any."""
         options = self.options
         search = self.search
         discovers = self.may_make()
@@ -118,7 +120,7 @@ class OptionKeeper:
         if self.features is not None and self.features.learn_if_due(search, options):
             self.useful.forget_places()
             *_, labelled = search.database
-        if self.settings.grow:
+        if self.settings.grow and grow:
             self._learn_further(labelled)
         may_lead = labelled.success or search.method.learns_from_failures
         ready = self.features is None or self.features.ready
