@@ -97,17 +97,19 @@ def _segment_of(bags: BagArrays, dtype: torch.dtype) -> Segment:
     rows_of_bags = [row_at[positive[:n], k] for k, n in enumerate(row_counts)]
     rows_by_bag = torch.from_numpy(np.concatenate([row_at[:0, 0], *rows_of_bags]))
 
-    negative_rows = np.flatnonzero(~bags.positive[bag])
-    x = bags.instances[index]
-    negative = np.concatenate([~bags.positive[bag[:count]] for count in counts])[:, None]
-    powers = np.concatenate([np.ones((len(x), 1)), x, x * x], axis=1)
+    negative = ~bags.positive[bag]
+    negative_rows = np.flatnonzero(negative)
+    x = np.take(bags.instances, index, axis=0).T  # five times as fast as an index in brackets
+    powers = torch.ones((1 + 2 * len(x) + bool(len(negative_rows)), len(index)), dtype=dtype)
+    powers[1 : 1 + len(x)] = torch.from_numpy(x)
+    powers[1 + len(x) : 1 + 2 * len(x)] = torch.from_numpy(x * x)
     if len(negative_rows):
-        powers = np.concatenate([powers, negative], axis=1)
+        powers[-1] = torch.from_numpy(np.concatenate([negative[:count] for count in counts]))
 
     return Segment(
-        powers=torch.from_numpy(powers).to(dtype),
-        powers_by_power=torch.from_numpy(powers.T.copy()).to(dtype),
-        reach=torch.from_numpy(np.abs(powers).max(axis=0)).to(dtype),
+        powers=torch.from_numpy(np.ascontiguousarray(powers.numpy().T)),
+        powers_by_power=powers,
+        reach=powers.abs().amax(dim=1),
         counts=tuple(counts),
         negative_rows=torch.from_numpy(negative_rows),
         n_positive=len(positive),

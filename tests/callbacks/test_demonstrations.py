@@ -25,6 +25,7 @@ from sb3_options import (
 from sb3_options.callbacks import SubgoalDiscoveryCallback, discover
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import SubgoalOption
 from tests.callbacks.test_checkpoint_resuming import check_resumes, model_of, venv_of
 from tests.support.documents import ROOT, python_of
 from tests.support.helpers import equal, table_option, trajectory_of
@@ -195,6 +196,22 @@ def test_cloning_can_be_left_out(shown: list[Trajectory]) -> None:
     cloned(model, shown, clone=False, max_new_options=0)
     after = model.policy.state_dict()
     assert all(equal(before[name].numpy(), after[name].numpy()) for name in before if "action_net" not in name)
+
+
+@pytest.mark.parametrize(("settled", "clone", "stays"), [(0.7, True, True), (1.1, True, False), (0.7, False, False)])
+def test_options_of_a_cloned_policy_that_succeeds_are_not_learned_anew(
+    shown: list[Trajectory], monkeypatch: pytest.MonkeyPatch, settled: float, clone: bool, stays: bool
+) -> None:
+    monkeypatch.setattr("sb3_options.callbacks.discovery.SETTLED", settled)
+    discovery = callback(shown, clone=clone)
+    model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=64, batch_size=64, seed=0)
+    model.learn(64, [discovery, EndsAtOnce()])
+    cloned_on = discovery.bank[0]
+    model.learn(1_500, discovery, reset_num_timesteps=False)
+    assert isinstance(cloned_on, SubgoalOption)
+    later = discovery.bank[0]
+    assert isinstance(later, SubgoalOption)
+    assert (later.option_policy is cloned_on.option_policy) == stays
 
 
 def test_normalized_observations_are_cloned_as_the_policy_sees_them(shown: list[Trajectory]) -> None:
