@@ -19,7 +19,7 @@ def steps_until(runs: Sequence[Result], key: str, most: int) -> dict[str, float]
     return {"n_runs": len(runs), "n_reached": n_reached, "mean": until.mean, "low": until.low, "high": until.high}
 
 
-def capped(runs: Sequence[Result], key: str, most: int) -> FloatArray:
+def capped(runs: Sequence[Result], key: str, most: float) -> FloatArray:
     """The steps under ``key``, (n,), ``most`` in the place of None."""
     return np.array([most if run[key] is None else run[key] for run in runs], dtype=np.float64)
 

@@ -1,7 +1,7 @@
 """``python -m experiments.demonstrations --runs 8 --out FOLDER``: frames to 0.8 success from a few demonstrations.
 
-MaskablePPO with the options discovered in them, with its policy cloned, and with both. It writes ``results.json``.
-Interrupted, it goes on where it was.
+MaskablePPO with the options discovered in them, with its policy cloned, and with both. It writes ``results.json`` and
+``demonstrations.png``. Interrupted, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -12,13 +12,15 @@ from functools import partial
 from typing import Any
 
 import tyro
+from matplotlib.figure import Figure
 from rich.table import Table
 
 from experiments.common.intervals import capped, iqm_ratio, steps_until
-from experiments.common.seeds import Part, run_parts
+from experiments.common.seeds import Part, Result, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.demonstrations.conditions import ARMS, EPISODES, LEARNED, PPO, TASKS, Arm, run
 from sb3_options.runs.config import CLONED
+from sb3_options.runs.intervals import probability_of_improvement
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,23 +65,51 @@ def main(study: Study) -> None:
     for name, runs in results.items():
         task = name.split(":")[0]
         first, frames = (capped(each, "learned", TASKS[task]) for each in (results[f"{task}: {study.arms[0]}"], runs))
-        ratio = iqm_ratio(first, frames, paired=True)
-        summary[name] = {**steps_until(runs, "learned", TASKS[task]), "ratio": ratio._asdict()}
+        summary[name] = {
+            **steps_until(runs, "learned", TASKS[task]),
+            "ratio": iqm_ratio(first, frames, paired=True)._asdict(),
+            "probability_of_improvement": probability_of_improvement(first, frames)._asdict(),
+        }
     command = f"python -m experiments.demonstrations --runs {study.runs} --first-seed {study.first_seed}"
     command += f" --episodes {study.episodes} --noise {study.noise}"
     command += f" --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"
-    write(study.out, {"command": command, "settings": settings, "summary": summary, "runs": results}, {})
-    table = Table("", "learned", "frames until then", "frames of the first arm as a multiple")
+    write(
+        study.out,
+        {"command": command, "settings": settings, "summary": summary, "runs": results},
+        {"demonstrations": draw(study, results)},
+        dpi=110,
+    )
+    table = Table(
+        "", "learned", "frames until then", "frames of the first arm as a multiple", "Pr(the first is faster)"
+    )
     for name, row in summary.items():
         until = f"{row['mean']:,.0f} ({row['low']:,.0f} to {row['high']:,.0f})"
-        multiple = "{mean:.2f} ({low:.2f} to {high:.2f})".format(**row["ratio"])
-        table.add_row(name, f"{row['n_reached']:.0f} of {row['n_runs']:.0f}", until, multiple)
+        ratios = (row["ratio"], row["probability_of_improvement"])
+        cells = ("{mean:.2f} ({low:.2f} to {high:.2f})".format(**each) for each in ratios)
+        table.add_row(name, f"{row['n_reached']:.0f} of {row['n_runs']:.0f}", until, *cells)
     show(
         table,
         "Interquartile means with 95 % bootstrap intervals, of pairs by seed for multiples. A run that does not learn "
         "counts with its whole length.",
         f"Results: {study.out / 'results.json'}",
     )
+
+
+def draw(study: Study, results: dict[str, list[Result]]) -> Figure:
+    """Performance profiles (Agarwal et al. 2021, §4.2): the share of runs that had learned after so many frames."""
+    figure = Figure(figsize=(3.4 * len(study.tasks), 2.9), layout="constrained")
+    panels = figure.subplots(1, len(study.tasks), sharey=True, squeeze=False)[0]
+    for axes, task in zip(panels, study.tasks, strict=True):
+        most = TASKS[task]
+        for arm in study.arms:
+            axes.ecdf(capped(results[f"{task}: {arm}"], "learned", 2 * most), label=arm)  # beyond the edge: never
+        axes.set(title=task.split("-", 1)[1].removesuffix("-v0"), xlabel="frames", xlim=(0, most), ylim=(0, 1.03))
+        axes.xaxis.set_major_formatter(lambda n, _: f"{n / 1000:.0f}k" if n else "0")
+    panels[0].set_ylabel("share of runs that had learned")
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(study.arms), frameon=False
+    )
+    return figure
 
 
 if __name__ == "__main__":
