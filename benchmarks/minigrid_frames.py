@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Semaphore, Thread
+from threading import Semaphore
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ class Turns(BaseCallback):
         other: Likewise of the other.
 
     Attributes:
-        marks: Primitive steps and seconds of processor time when each turn ended.
+        marks: Primitive steps and seconds of processor time when each turn began.
     """
 
     def __init__(self, mine: Semaphore, other: Semaphore) -> None:
@@ -71,9 +72,10 @@ class Turns(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        self.marks.append((self.model.num_timesteps, time.thread_time()))
-        self.other.release()
+        if self.marks:  # the first rollout has no turn before it
+            self.other.release()
         self.mine.acquire()
+        self.marks.append((self.model.num_timesteps, time.thread_time()))
 
     def costs(self) -> list[float]:
         """Microseconds per frame in each turn but the first, in which kernels compile and caches fill."""
@@ -81,12 +83,12 @@ class Turns(BaseCallback):
         return [(later - sooner) / (after - before) * 1e6 for (before, sooner), (after, later) in turns][1:]
 
 
-def discovery(*, grow: bool) -> SubgoalDiscoveryCallback:
+def discovery(*, first: bool) -> SubgoalDiscoveryCallback:
     """As in ``experiments.minigrid``: options grow in the first stage and in the last, where no more are discovered."""
     return SubgoalDiscoveryCallback(
         settings.DISCOVERY,
-        settings.options_of(0 if grow else 1),
-        max_new_options=None if grow else 0,
+        settings.options_of(0 if first else 1),
+        max_new_options=None if first else 0,
         use={"max_option_exploration": settings.OPENING_SHARE, "primitive_rollouts": True},
     )
 
@@ -100,19 +102,19 @@ def trained(family: str, arm: Arm, seed: int) -> tuple[BaseAlgorithm, list[BaseC
         model.learn(first.frames)
         model.set_env(venv_of(last.env_id, seed))
         return model, [], 0
-    found = discovery(grow=True)
+    found = discovery(first=True)
     model.learn(first.frames, callback=found)
     with tempfile.TemporaryDirectory() as folder:
         options = Path(folder) / "options"
         found.bank.save(options)
         model.set_env(venv_of(last.env_id, seed, slots=slots, options=options))
-    return model, [discovery(grow=False)], len(found.bank)
+    return model, [discovery(first=False)], len(found.bank)
 
 
 def race(family: str, frames: int, seed: int) -> dict[str, Any]:
     """Costs of a frame in every turn, and their ratio."""
     contestants = {arm: trained(family, arm, seed) for arm in ARMS}
-    semaphores = Semaphore(0), Semaphore(0)
+    semaphores = Semaphore(1), Semaphore(0)
     turns = {arm: Turns(*of) for arm, of in zip(ARMS, (semaphores, semaphores[::-1]), strict=True)}
 
     def train(arm: Arm) -> None:
@@ -122,11 +124,9 @@ def race(family: str, frames: int, seed: int) -> dict[str, Any]:
         finally:  # the other one need not wait any more
             turns[arm].other.release(frames)
 
-    threads = [Thread(target=train, args=(arm,)) for arm in ARMS]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(len(ARMS)) as threads:
+        for done in [threads.submit(train, arm) for arm in ARMS]:
+            done.result()
     costs = [turns[arm].costs() for arm in ARMS]
     ratio = mean_interval(np.array([one / other for one, other in zip(*costs, strict=False)]))
     medians = {arm: float(np.median(of)) for arm, of in zip(ARMS, costs, strict=True)}

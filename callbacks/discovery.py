@@ -35,7 +35,8 @@ from sb3_options.state import restore
 SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is 4 episodes
 
 SETTLED, SETTLED_EPISODES = 0.7, 50
-"""Success rate, in so many episodes, from which the options of a cloned policy are not learned anew."""
+"""Success rate in the last so many episodes from which the options of a cloned policy are not learned anew, and such
+episodes do not count towards it: relearning changes the actions that the policy was fitted to."""
 
 
 class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
@@ -73,7 +74,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         TypeError: An argument is of the wrong kind.
     """
 
-    STATE = ("episodes", "history", "discovery", "_keeper")
+    STATE = ("episodes", "history", "discovery", "_keeper", "_cloned_at")
 
     def __init__(
         self,
@@ -115,6 +116,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.discoveries = self._keeper.discoveries
         self.closed = self._keeper.closed
         self._began = 0
+        self._cloned_at: int | None = None  # episodes before the policy was cloned
         self._ended = True
 
     @property
@@ -172,6 +174,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             options.on_rollout_start()  # no rollout has started, and the heads must be open
             successes = [each for each, success in shown if success]
             probability = clone(self.model, options.bank, successes)
+            self._cloned_at = len(self.history)
             if self.verbose:
                 print(f"Cloned {len(successes)} demonstrations: mean probability of a decision {probability:.2f}")
 
@@ -231,10 +234,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         draw_discovery(self.logger, self._keeper)
 
     def _is_settled(self) -> bool:
-        """Return whether a cloned policy succeeds so often that its options stay as they were when it was cloned."""
-        recent = self.history[-SETTLED_EPISODES:]
-        cloned = self.demonstrations is not None and self.clone and can_clone(self.model)
-        return cloned and sum(episode.success for episode in recent) >= SETTLED * max(1, len(recent))
+        """Return whether a cloned policy succeeds so often that its options are not learned anew."""
+        if self._cloned_at is None or len(self.history) == self._cloned_at:
+            return False
+        recent = self.history[max(self._cloned_at, len(self.history) - SETTLED_EPISODES) :]
+        return sum(episode.success for episode in recent) >= SETTLED * len(recent)
 
     def _close_option(self, slot: int, why: Verdict) -> None:
         self._keeper.close(ClosedOption(slot, self.episodes, self.num_timesteps, why))

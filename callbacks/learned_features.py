@@ -51,7 +51,8 @@ class LearnedFeatures:
 
     def begin(self, options: OptionInstaller) -> None:
         """Note the options that exist when training starts."""
-        options.learned_map = options.bank.feature_map = self.map
+        options.learned_map = self.map
+        options.bank.bind(self.map)
         others = [s for s in options.bank.filled if isinstance(options.bank[s], SubgoalOption)]
         self.map.fixed = any(slot not in self._anchors for slot in others)
         if self.ready:

@@ -1,4 +1,4 @@
-"""Options in MiniGrid as EnvPool steps it, in C++. Needs the extras contrib, envpool and minigrid."""
+"""Options in MiniGrid as EnvPool steps it, in C++. Needs the extra envpool."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -46,8 +46,8 @@ class MiniGridPool(VecEnv):
         ended = np.flatnonzero(terminated | truncated)
         for env in ended:
             infos[env]["terminal_observation"] = vectors[env].copy()
-            infos[env]["TimeLimit.truncated"] = bool(truncated[env] and not terminated[env])
-            infos[env]["is_success"] = bool(rewards[env] > 0)
+            infos[env]["is_success"] = bool(rewards[env] > 0)  # maybe in the last step that is allowed
+            infos[env]["TimeLimit.truncated"] = bool(truncated[env] and not terminated[env] and rewards[env] <= 0)
         if len(ended):
             vectors[ended] = self.one.vectors(self.pool.reset(ended.astype(np.int32))[0]["image"])
         return vectors, rewards, terminated | truncated, infos

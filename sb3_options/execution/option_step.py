@@ -85,13 +85,9 @@ def run_option(
             termination = "truncated"
         else:
             initiation, probability = option.membership(batch_of_one(observation))
-            termination = why_ended(
-                len(run.actions),
-                option.max_duration,
-                float(probability[0]),
-                random,
-                goes_on=inside and bool(initiation[0]),
-            )
+            goes_on = inside and bool(initiation[0])
+            beta = float(probability[0])
+            termination = why_ended(len(run.actions), option.max_duration, beta, random, goes_on=goes_on)
         if termination is None:
             action = primitive_of(option, run.observations[-1], n_primitive)
             mask = legal()

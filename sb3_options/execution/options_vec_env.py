@@ -120,9 +120,8 @@ class OptionsVecEnv(VecEnvWrapper):
         self._shown: Any = None  # the same, but of a waiting one the observation in which its option was chosen
         self._running: dict[int, tuple[Option, RunUnderWay]] = {}  # by environment
         self._closed: set[int] = set()  # environments whose option was taken out of its slot while it runs
-        self._initiation: BoolArray | None = None  # (n_envs, max_options), where the environments are; None: not asked
         self._runs = np.zeros((self.num_envs, max_options), dtype=np.int64)
-        self._groups: list[tuple[Option, IntArray]] = []  # the same by option, in the present step
+        self._groups: list[tuple[Option, IntArray]] = []  # options that run in the present step, and where
         self._actions = np.zeros(self.num_envs, dtype=np.int64)  # primitive ones, of the present step
         self._instead: BoolArray = np.zeros(self.num_envs, dtype=bool)  # whether they run in the place of a slot
         self._recorders: list[TrajectoryRecorder] = []
@@ -153,7 +152,6 @@ class OptionsVecEnv(VecEnvWrapper):
         """
         before = self.slot_state
         self.slot_state = now = with_changes(before, self.bank, self.features, changes)
-        self._initiation = None
         emptied = [slot for slot, option in changes.get("options", {}).items() if option is None]
         self._runs[:, emptied] = 0
         self._closed |= {env for env, (_, run) in self._running.items() if run.slot in emptied}
@@ -173,18 +171,12 @@ class OptionsVecEnv(VecEnvWrapper):
     def action_masks(self) -> BoolArray:
         """Which actions may be chosen now, (n_envs, n_primitive + max_options); where an option runs, it alone."""
         masks = np.ones((self.num_envs, self._n_actions), dtype=bool)
-        masks[:, self.n_primitive :] = self._may_start() & self._may_run()
+        masks[:, self.n_primitive :] = self.bank.available_slots(self._observations) & self._may_run()
         if self._running:
             envs, slots = list(self._running), [run.slot for _, run in self._running.values()]
             masks[envs] = False
             masks[envs, self.n_primitive + np.array(slots)] = True
         return masks
-
-    def _may_start(self) -> BoolArray:
-        """Which slots' initiation sets hold where the environments are, (n_envs, max_options), computed once."""
-        if self._initiation is None:
-            self._initiation = self.bank.available_slots(self._observations)
-        return self._initiation
 
     def _may_run(self) -> BoolArray:
         """Which slots have not run ``max_runs`` times, (n_envs, max_options)."""
@@ -193,7 +185,6 @@ class OptionsVecEnv(VecEnvWrapper):
     def reset(self) -> Any:
         """Begin an episode in every environment; no option runs."""
         self._observations = self._shown = self.venv.reset()
-        self._initiation = None
         if self.features is not None and self.bank.feature_size is None:
             one = batch_of_one(take(self._observations, 0))
             self.bank.feature_size = feature_maps.checked_size(self.features.map, one)
@@ -221,24 +212,25 @@ class OptionsVecEnv(VecEnvWrapper):
         slots = actions - self.n_primitive
         slots[list(self._running)] = -1
         self._instead = slots >= 0
-        chosen: list[int] = np.flatnonzero(self._instead).tolist()
-        for env in chosen:
-            self._instead[env] = not self._starts(env, int(slots[env]))
+        chosen = set(slots[self._instead].tolist())
+        for slot in filter(chosen.__contains__, self.bank.filled):
+            self._start(slot, np.flatnonzero((slots == slot) & self._may_run()[:, slot]))
         self._actions = np.where(self._instead, slots % self.n_primitive, actions) if chosen else actions.copy()
         self._groups = self._by_option()
         for option, envs in self._groups:
             self._actions[envs] = primitives_of(option, take(self._observations, envs), self.n_primitive)
         self.venv.step_async(self._actions)
 
-    def _starts(self, env: int, slot: int) -> bool:
-        """Start the option of a slot in an environment, if it is filled and may run, and return whether it did."""
+    def _start(self, slot: int, envs: IntArray) -> None:
         option = self.bank[slot]
-        if option is None or (self.max_runs is not None and self._runs[env, slot] >= self.max_runs):
-            return False
-        inside = bool(self._may_start()[env, slot])
-        self._runs[env, slot] += inside
-        self._running[env] = option, RunUnderWay(slot, take(self._observations, env), self.gamma, inside=inside)
-        return True
+        if option is None or not len(envs):
+            return
+        self._instead[envs] = False
+        observations = take(self._observations, envs)
+        initiation = option.initiation(observations)
+        self._runs[envs, slot] += initiation
+        for env, observation, inside in zip(envs.tolist(), singles(observations), initiation.tolist(), strict=True):
+            self._running[env] = option, RunUnderWay(slot, observation, self.gamma, inside=inside)
 
     def _by_option(self) -> list[tuple[Option, IntArray]]:
         """The options that run, each with its environments; one that was replaced may run beside the later one."""
@@ -253,15 +245,15 @@ class OptionsVecEnv(VecEnvWrapper):
         observations, given, dones, infos = self.venv.step_wait()
         # Copies, because an environment may hand out one and the same dictionary every time.
         infos = [{"option": self._primitive, **info} for info in infos]
-        if any(info["option"] is not self._primitive for info in infos):
-            refuse_own({"option": None}, "option")
+        for info in infos:
+            if info["option"] is not self._primitive:
+                refuse_own(info, "option")
         ended: list[int] = np.flatnonzero(dones).tolist()
         led = observations
         if ended:
             led = replaced(observations, ended, stack([infos[env]["terminal_observation"] for env in ended]))
         self._record(given, led, dones, infos)
         self._observations = observations
-        self._initiation = None
         rewards = np.array(given, dtype=np.result_type(np.asarray(given), np.float32))  # sums of whole ones are none
         endings = self._go_on(given, led, dones, infos)
         for env, (_, run) in self._running.items():
@@ -282,24 +274,20 @@ class OptionsVecEnv(VecEnvWrapper):
     ) -> dict[int, Termination]:
         """Add the present step to the options that run, and return why they ended, by environment, where they did."""
         endings: dict[int, Termination] = {}
-        for option, envs in self._groups:
-            places = take(led, envs)
-            inside, termination = option.membership(places)
-            rows = zip(envs.tolist(), singles(places), inside.tolist(), termination.tolist(), strict=True)
-            for env, observation, goes_on, probability in rows:
+        for env, (_, run) in self._running.items():
+            run.add(int(self._actions[env]), rewards[env], take(led, env))
+            if dones[env]:
+                endings[env] = _end_of_episode(infos[env])
+        for option, running in self._groups:
+            envs = running[~dones[running]]
+            if not len(envs):
+                continue
+            initiation, termination = option.membership(take(led, envs))
+            for env, inside, beta in zip(envs.tolist(), initiation.tolist(), termination.tolist(), strict=True):
                 run = self._running[env][1]
-                run.add(int(self._actions[env]), rewards[env], observation)
-                why = (
-                    _end_of_episode(infos[env])
-                    if dones[env]
-                    else why_ended(
-                        len(run.actions),
-                        option.max_duration,
-                        probability,
-                        self._random[env],
-                        goes_on=run.inside and goes_on,
-                    )
-                )
+                goes_on = run.inside and inside
+                k = len(run.actions)
+                why = why_ended(k, option.max_duration, beta, self._random[env], goes_on=goes_on)
                 if why is not None:
                     endings[env] = why
         return endings
@@ -333,8 +321,8 @@ class OptionsVecEnv(VecEnvWrapper):
         steps = zip(self._actions.tolist(), rewards.tolist(), singles(led), keys_of(led), strict=True)
         for recorder, step, done, info in zip(self._recorders, steps, dones.tolist(), infos, strict=True):
             recorder.record(*step)
+            refuse_own(info, "trajectory", "segments")
             if done:
-                refuse_own(info, "trajectory", "segments")
                 truncated = _end_of_episode(info) == "truncated"
                 recorder.end(terminated=not truncated, truncated=truncated, is_success=success_in(info))
             if recorder.finished:
@@ -392,7 +380,7 @@ class OptionsVecEnv(VecEnvWrapper):
             return self.venv.env_method(method_name, *method_args, indices=indices, **method_kwargs)
         result = getattr(self, method_name)(*method_args, **method_kwargs)
         envs = self._get_indices(indices)
-        return list(result[envs]) if method_name == "action_masks" else [result for _ in envs]
+        return [result[env] for env in envs] if method_name == "action_masks" else [result for _ in envs]
 
 
 def _end_of_episode(info: dict[str, Any]) -> Termination:

@@ -102,4 +102,5 @@ def with_changes(
     if changes.get("learned_map") is not None:
         assert features is not None  # a map is learned only where there is one
         cast("LearnedMap", features.map).load(changes["learned_map"])
+        bank.bind(features.map)  # and forget what followed from the former one
     return dataclasses.replace(later, options={**state.options, **options})

@@ -125,7 +125,7 @@ class OptionBank:
         features = None
         for slot in self.filled:
             option = cast("Option", self._slots[slot])
-            if isinstance(option, SubgoalOption) and self._shared is not None:  # all of them are bound to it
+            if isinstance(option, SubgoalOption) and option.known_features is self._shared is not None:
                 features = option.features(observations) if features is None else features
                 mask[:, slot] = option.membership_at(features)[:, 0]
             else:
@@ -188,8 +188,6 @@ class OptionBank:
     def _bound(self, option: Option) -> Option:
         if not isinstance(option, SubgoalOption) or self.feature_map is None:
             return option
-        if isinstance(self.feature_map, LearnedMap):  # it changes while it is learned
-            return option.bind(self.feature_map)
         if self._shared is None or self._shared.of != self.feature_map:
             self._shared = KnownFeatures(self.feature_map)
         return option.bind(self._shared)

@@ -12,13 +12,14 @@ import numpy.typing as npt
 
 from sb3_options.checked import is_number
 from sb3_options.density.regions import Region
+from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, IntArray, Observations
 from sb3_options.options.policies import OptionPolicy, PolicyInput
 from sb3_options.state import storable
 
 CACHE_BYTES = 4 << 20  # memory of each cache of a `SubgoalOption`, observations included; approximate
-CACHE_ENTRY_BYTES = 400  # memory of one cached result besides its observation; measured, rounded up
+CACHE_ENTRY_BYTES = 400  # memory of one cached result besides its numbers and its observation; measured, rounded up
 CACHE_BATCH = 128  # largest batch that is looked up: a larger one is computed as quickly
 
 Result = TypeVar("Result", bound=np.generic)
@@ -78,22 +79,29 @@ class KnownResults(Generic[Result]):
             self._results.clear()
             self._bytes = self._hits = 0
         self._results |= zip(keys, results, strict=True)
-        self._bytes += sum(map(len, keys)) + CACHE_ENTRY_BYTES * len(keys)
+        self._bytes += sum(map(len, keys)) + sum(result.nbytes for result in results) + CACHE_ENTRY_BYTES * len(keys)
 
 
 class KnownFeatures:
-    """A feature map φ that caches features, which all options of a bank need."""
+    """A feature map φ that caches features, which all options of a bank need, until the map is learned anew."""
 
     def __init__(self, of: FeatureMap) -> None:
         self.of = of
+        self._learned = of if isinstance(of, LearnedMap) else None
+        self._forget()
+
+    def _forget(self) -> None:
         self._known: KnownResults[np.float64] = KnownResults()
+        self._scale = None if self._learned is None else self._learned.scale
 
     def __call__(self, observations: Observations) -> FloatArray:
         """Return φ of a batch of observations, (batch, d). Not to be changed."""
+        if self._learned is not None and self._learned.scale is not self._scale:  # it has another one when it changes
+            self._forget()
         return self._known(self._computed, observations)
 
     def _computed(self, observations: Observations) -> FloatArray:
-        return np.asarray(self.of(observations), dtype=np.float64)
+        return np.array(self.of(observations), dtype=np.float64)  # a copy: φ may return a view of the observations
 
 
 class Option:
@@ -152,7 +160,8 @@ class Option:
 
     def membership(self, observations: Observations) -> tuple[BoolArray, FloatArray]:
         """Return `initiation` and `termination` of each observation, (batch,) each."""
-        return self.initiation(observations), self.termination(observations)
+        termination = self.termination(observations)
+        return self.initiation(observations), termination
 
     def _checked(self, what: str, value: npt.ArrayLike, observations: Observations) -> npt.NDArray[Any]:
         array = np.asarray(value)
@@ -222,7 +231,7 @@ class SubgoalOption(Option):
     def _set_feature_map(self, feature_map: FeatureMap | None) -> None:
         if feature_map is not None and not isinstance(feature_map, KnownFeatures):
             feature_map = KnownFeatures(feature_map)
-        self._feature_map = feature_map
+        self.known_features = feature_map
 
     def with_policy(self, option_policy: OptionPolicy) -> SubgoalOption:
         """Return the same option with another π, not yet bound to φ."""
@@ -268,16 +277,16 @@ class SubgoalOption(Option):
 
     def features(self, observations: Observations) -> FloatArray:
         """Return φ of a batch of observations, (batch, d). Not to be changed."""
-        if self._feature_map is None:
+        if self.known_features is None:
             raise ValueError(
                 f"Option {self.name!r} has no feature map: add it to the bank of an OptionsWrapper that has one, "
                 "or call option.bind(feature_map)."
             )
-        return self._feature_map(observations)
+        return self.known_features(observations)
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_greedy", "_actions_at")}
-        return {**kept, "_feature_map": None}
+        return {**kept, "known_features": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state

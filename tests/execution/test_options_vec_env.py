@@ -287,6 +287,50 @@ def test_options_that_are_closed_or_replaced_while_they_run_go_on_to_their_end()
     np.testing.assert_allclose(rewards, 1 + GAMMA * 2 + GAMMA**2 * 3)
 
 
+def test_options_that_are_put_into_the_bank_itself_count_at_once() -> None:
+    venv = OptionsVecEnv(DummyVecEnv([lambda: CountingEnv(2)]), 1, gamma=GAMMA)
+    venv.reset()
+    assert venv.action_masks().tolist() == [[True, True, False]]
+    venv.bank.add(steady_option(1, max_duration=3), 0)
+    assert venv.action_masks().tolist() == [[True, True, True]]
+    assert venv.step(np.array([2]))[-1][0]["option"]["duration"] == 0  # goes on
+    venv.bank.remove(0)
+    venv.reset()
+    assert venv.action_masks().tolist() == [[True, True, False]]
+
+
+def test_options_are_not_asked_where_an_episode_ended() -> None:
+    seen: list[float] = []
+
+    def noting(observations: Any) -> Any:
+        seen.extend(np.ravel(observations).tolist())
+        return np.ones(len(observations), dtype=bool)
+
+    venv = OptionsVecEnv(DummyVecEnv([lambda: CountingEnv(2, terminate_at=2)] * 2), 1, gamma=GAMMA)
+    option = Option(noting, lambda obs: np.ones(len(obs), dtype=int), lambda obs: ~noting(obs), max_duration=9)
+    venv.set_slots(options={0: option})
+    venv.reset()
+    venv.step(np.array([2, 2]))
+    *_, dones, infos = venv.step(np.array([2, 2]))
+    assert dones.all()
+    last = {float(np.ravel(info["terminal_observation"])[0]) for info in infos}
+    assert seen
+    assert last.isdisjoint(seen)
+
+
+def test_an_entry_of_the_environment_where_trajectories_are_written_is_refused_at_once() -> None:
+    class Own(CountingEnv):
+        def step(self, action: Any) -> Any:
+            *result, info = super().step(action)
+            return *result, {**info, "trajectory": "own"}
+
+    venv = OptionsVecEnv(DummyVecEnv([lambda: Own(2)]), 1, gamma=GAMMA)
+    venv.set_slots(record=True)
+    venv.reset()
+    with pytest.raises(ValueError, match=r'info\["trajectory"\] of its own'):
+        venv.step(np.array([0]))
+
+
 def test_sums_of_whole_rewards_are_not_cut() -> None:
     class Whole(DummyVecEnv):
         def step_wait(self) -> Any:

@@ -1,7 +1,12 @@
 """The study of demonstrations."""
 
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 import pytest
 
+from experiments.demonstrations.__main__ import Study, draw
 from experiments.demonstrations.conditions import ARMS, run
 from experiments.demonstrations.experts import expert_of
 from sb3_options import record_demonstrations
@@ -30,6 +35,17 @@ def test_an_expert_errs_as_often_as_it_is_told() -> None:
     right, noisy = (expert_of(env, noise, seed=3) for noise in (0.0, 0.5))
     wrong = sum(right(None) != noisy(None) for _ in range(200))
     assert 60 < wrong < 110  # one of seven random actions is right
+
+
+def test_a_run_that_did_not_learn_is_beyond_the_edge_of_the_picture() -> None:
+    task = "MiniGrid-LockedRoom-v0"
+    study = Study(out=Path(), tasks=(task,), arms=("options, cloning", "cloning"))
+    learned: dict[str, list[int | None]] = {"options, cloning": [10_000, 20_000], "cloning": [30_000, None]}
+    results: Any = {f"{task}: {arm}": [{"learned": frames} for frames in of] for arm, of in learned.items()}
+    (axes,) = draw(study, results).axes
+    with_options, without = (np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines)
+    assert with_options[-2:, 0].tolist() == [10_000, 20_000]
+    assert without[without[:, 0] <= axes.get_xlim()[1], 1].max() == 0.5
 
 
 @pytest.mark.slow

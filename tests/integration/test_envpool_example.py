@@ -47,3 +47,17 @@ def test_episodes_end_as_stable_baselines3_expects() -> None:
         (info["terminal_observation"] != row).any() for info, row in zip(ended, observations[dones], strict=True)
     )
     pool.close()
+
+
+def test_an_episode_that_succeeds_in_its_last_step_is_not_truncated() -> None:
+    pool: Any = runpy.run_path(str(EXAMPLE))["MiniGridPool"]("MiniGrid-MultiRoom-N2-S4-v0", 64, seed=3)
+    pool.reset()
+    random = np.random.default_rng(0)
+    succeeded = []
+    for _ in range(10 * MAX_STEPS):
+        _, rewards, _, infos = pool.step(random.choice([0, 1, 2, 5], size=64))  # 5 opens doors
+        assert [bool(info.get("is_success")) for info in infos] == (rewards > 0).tolist()
+        succeeded += [info for info in infos if info.get("is_success")]
+    assert succeeded
+    assert not any(info["TimeLimit.truncated"] for info in succeeded)
+    pool.close()

@@ -5,8 +5,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from sb3_options.density.regions import Region
+from sb3_options.embedding.encoders import ObservationForm
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.experience.observations import flatten
 from sb3_options.options import option
-from sb3_options.options.option import CACHE_BATCH, KnownResults
+from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import CACHE_BATCH, KnownFeatures, KnownResults, SubgoalOption
+from sb3_options.options.policies import TabularPolicy
 
 
 class Squares:
@@ -59,3 +65,42 @@ def test_observations_that_seldom_repeat_are_cached_no_longer(
     before = len(squares.asked)
     known(squares, batch([999], as_dict=False))
     assert (len(squares.asked) > before) == computed_again
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_features_stay_when_an_environment_writes_into_its_last_observation(n: int) -> None:
+    known = KnownFeatures(flatten)  # a view of numbers of 64 bits
+    first = np.arange(n, dtype=np.float64)[:, None]
+    buffer = first.copy()
+    known(buffer)
+    buffer += 7.0
+    assert known(first).tolist() == first.tolist()
+
+
+def reaching(goal: npt.NDArray[np.float64], initiation: npt.NDArray[np.float64], scale: float = 1.0) -> SubgoalOption:
+    scales = np.full(goal.shape[1], scale)
+    policy = TabularPolicy(np.zeros((1, 1)), np.zeros((1, 2)))
+    return SubgoalOption(Region(goal, scales, 0.5), Region(initiation, scales, 0.5), policy)
+
+
+def test_a_map_that_is_learned_anew_leaves_nothing_known() -> None:
+    places = np.array([[3.0], [4.0], [9.0]])
+    learned, other = (LearnedMap(ObservationForm("vector", (1,)), seed) for seed in (0, 5))
+    bank = OptionBank(2, 1, feature_map=learned)
+    bank.add(reaching(learned(places[2:]), learned(places[:2]), scale=1e6))
+    here = bank[0]
+    assert here is not None
+    for n in (1, 2):
+        assert here.initiation(places[:n]).all()
+    learned.load(other.arrays())
+    for n in (1, 2):
+        assert not here.initiation(places[:n]).any()
+
+
+def test_options_are_asked_with_the_feature_map_that_each_is_bound_to() -> None:
+    places = np.array([[3.0], [4.0]])
+    bank = OptionBank(2, 2, feature_map=flatten)
+    bank.add(reaching(np.array([[9.0]]), places))
+    bank.feature_map = lambda observations: flatten(observations) + 100.0
+    bank.add(reaching(np.array([[109.0]]), places + 100.0))
+    assert bank.available_slots(places).all()
