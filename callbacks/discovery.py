@@ -34,9 +34,10 @@ from sb3_options.state import restore
 
 SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is 4 episodes
 
-SETTLED, SETTLED_EPISODES = 0.7, 50
-"""Success rate in the last so many episodes from which the options of a cloned policy are not learned anew, and such
-episodes do not count towards it: relearning changes the actions that the policy was fitted to."""
+SETTLED, SETTLED_EPISODES, SETTLED_SHOWN = 0.7, 50, 50
+"""Success rate in the last so many episodes from which the options of a policy that was cloned from so many
+demonstrations are not learned anew: relearning changes the actions that the policy was fitted to. Such episodes do not
+count towards it. Options from fewer demonstrations start in too few states to stay."""
 
 
 class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
@@ -116,7 +117,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.discoveries = self._keeper.discoveries
         self.closed = self._keeper.closed
         self._began = 0
-        self._cloned_at: int | None = None  # episodes before the policy was cloned
+        self._cloned_at: int | None = None  # episodes before the policy was cloned from many demonstrations
         self._ended = True
 
     @property
@@ -174,7 +175,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             options.on_rollout_start()  # no rollout has started, and the heads must be open
             successes = [each for each, success in shown if success]
             probability = clone(self.model, options.bank, successes)
-            self._cloned_at = len(self.history)
+            if len(successes) >= SETTLED_SHOWN:
+                self._cloned_at = len(self.history)
             if self.verbose:
                 print(f"Cloned {len(successes)} demonstrations: mean probability of a decision {probability:.2f}")
 
@@ -234,7 +236,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         draw_discovery(self.logger, self._keeper)
 
     def _is_settled(self) -> bool:
-        """Return whether a cloned policy succeeds so often that its options are not learned anew."""
+        """Return whether a policy cloned from many demonstrations succeeds so often that its options stay."""
         if self._cloned_at is None or len(self.history) == self._cloned_at:
             return False
         recent = self.history[max(self._cloned_at, len(self.history) - SETTLED_EPISODES) :]

@@ -198,11 +198,15 @@ def test_cloning_can_be_left_out(shown: list[Trajectory]) -> None:
     assert all(equal(before[name].numpy(), after[name].numpy()) for name in before if "action_net" not in name)
 
 
-@pytest.mark.parametrize(("settled", "clone", "stays"), [(0.7, True, True), (1.1, True, False), (0.7, False, False)])
+@pytest.mark.parametrize(
+    ("settled", "many", "clone", "stays"),
+    [(0.7, 12, True, True), (1.1, 12, True, False), (0.7, 13, True, False), (0.7, 12, False, False)],
+)
 def test_options_of_a_cloned_policy_that_succeeds_are_not_learned_anew(
-    shown: list[Trajectory], monkeypatch: pytest.MonkeyPatch, settled: float, clone: bool, stays: bool
+    shown: list[Trajectory], monkeypatch: pytest.MonkeyPatch, settled: float, many: int, clone: bool, stays: bool
 ) -> None:
     monkeypatch.setattr("sb3_options.callbacks.discovery.SETTLED", settled)
+    monkeypatch.setattr("sb3_options.callbacks.discovery.SETTLED_SHOWN", many)
     discovery = callback(shown, clone=clone)
     model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=64, batch_size=64, seed=0)
     model.learn(64, [discovery, EndsAtOnce()])
