@@ -25,7 +25,7 @@ from sb3_options.runs.algorithms import make_model
 from sb3_options.runs.commands import EVAL_SEED, DemoConfig
 from sb3_options.runs.config import TrainConfig, configure, shipped
 from sb3_options.runs.folder import make_env
-from sb3_options.runs.training import discovery_callback
+from sb3_options.runs.training import discovery_callback, use_one_thread
 from sb3_options.runs.video import RecordFrames, captioned, write_beside
 
 LEARNED = 0.9
@@ -67,6 +67,7 @@ CLAIMS = {name: Claim(**claim) for name, claim in shipped("demo.yml").items()}
 
 def show_demo(config: DemoConfig, console: Console) -> None:
     """Run the demonstration, print its table, and write ``demo.png`` and ``demo.json``."""
+    use_one_thread()
     claim = CLAIMS[config.task]
     config.out.mkdir(parents=True, exist_ok=True)
     results: list[Result] = []

@@ -123,6 +123,15 @@ class _RuledEvalCallback(EvalCallback):
         super()._log_success_callback(locals_, globals_)
 
 
+def use_one_thread() -> None:
+    """Let torch compute in one thread, unless the environment says otherwise.
+
+    Small networks are fastest so. Beside other work, threads that wait for each other take several times as long.
+    """
+    if "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(1)
+
+
 def train(config: TrainConfig, console: Console | None = None, *, resumed: Path | None = None) -> Trained:
     """Train in a new run folder, or resume a run.
 
@@ -130,8 +139,7 @@ def train(config: TrainConfig, console: Console | None = None, *, resumed: Path 
     folder.
     """
     console = console or Console(highlight=False, soft_wrap=True)
-    if "OMP_NUM_THREADS" not in os.environ:
-        torch.set_num_threads(1)  # small networks are fastest with one
+    use_one_thread()
     class_of(config.algo)  # a missing algorithm leaves no folder
     with Interrupts() as interrupts:
         discovery = discovery_callback(config, verbose=1)
