@@ -216,16 +216,15 @@ class SubgoalOption(Option):
         self._forget_results()
 
     def _forget_results(self) -> None:
-        self._greedy: KnownResults[np.integer[Any]] = KnownResults()
-        # By features: many observations have the same. Copies that are bound to the φ of other environments share them.
+        # By features, and by what π acts on. Copies that are bound to the φ of other environments share both.
         self._membership: KnownResults[np.bool_] = KnownResults()
-        self._actions_at: KnownResults[np.integer[Any]] = KnownResults()
+        self._greedy: KnownResults[np.integer[Any]] = KnownResults()
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """Return the same option with φ set."""
         bound = copy.copy(self)
         bound._set_feature_map(feature_map)
-        bound._membership, bound._actions_at = self._membership, self._actions_at
+        bound._membership, bound._greedy = self._membership, self._greedy
         return bound
 
     def _set_feature_map(self, feature_map: FeatureMap | None) -> None:
@@ -251,7 +250,9 @@ class SubgoalOption(Option):
 
     def policy(self, observations: Observations) -> IntArray:
         """Return the greedy action of the option's value function, shape (batch,)."""
-        return self._greedy(self._computed_actions, observations).copy()
+        if self.policy_input == "features":
+            observations = self.initiation_set.own(self.features(observations))
+        return self._greedy(self.option_policy.actions, observations).copy()
 
     def termination(self, observations: Observations) -> FloatArray:
         """Return 1 at the subgoal, else 0, shape (batch,)."""
@@ -270,11 +271,6 @@ class SubgoalOption(Option):
         reached = self.subgoal.contains(features)
         return np.column_stack([self.initiation_set.contains(features) & ~reached, reached])
 
-    def _computed_actions(self, observations: Observations) -> IntArray:
-        if self.policy_input != "features":
-            return self.option_policy.actions(observations)
-        return self._actions_at(self.option_policy.actions, self.initiation_set.own(self.features(observations)))
-
     def features(self, observations: Observations) -> FloatArray:
         """Return φ of a batch of observations, (batch, d). Not to be changed."""
         if self.known_features is None:
@@ -285,7 +281,7 @@ class SubgoalOption(Option):
         return self.known_features(observations)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_greedy", "_actions_at")}
+        kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_greedy")}
         return {**kept, "known_features": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
