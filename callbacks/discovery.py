@@ -19,6 +19,7 @@ from sb3_options.callbacks.settings import ConceptSettings, OptionUse
 from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_run, log_settings, save_or_warn
 from sb3_options.callbacks.usefulness import Verdict
 from sb3_options.checked import given_as
+from sb3_options.checkpoints.demonstrations import MANY
 from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
@@ -34,8 +35,8 @@ from sb3_options.state import restore
 
 SEGMENTS_PER_LOG = 4  # segments between two dumps of the log; SB3's default is 4 episodes
 
-SETTLED, SETTLED_EPISODES, SETTLED_SHOWN = 0.7, 50, 50
-"""Success rate in the last so many episodes from which the options of a policy that was cloned from so many
+SETTLED, SETTLED_EPISODES = 0.7, 50
+"""Success rate in the last so many episodes from which the options of a policy that was cloned from `MANY`
 demonstrations are not learned anew: relearning changes the actions that the policy was fitted to. Such episodes do not
 count towards it. Options from fewer demonstrations start in too few states to stay."""
 
@@ -175,7 +176,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             options.on_rollout_start()  # no rollout has started, and the heads must be open
             successes = [each for each, success in shown if success]
             probability = clone(self.model, options.bank, successes)
-            if len(successes) >= SETTLED_SHOWN:
+            if len(successes) >= MANY:
                 self._cloned_at = len(self.history)
             if self.verbose:
                 print(f"Cloned {len(successes)} demonstrations: mean probability of a decision {probability:.2f}")

@@ -18,8 +18,7 @@ from rich.table import Table
 from experiments.common.intervals import capped, iqm_ratio, steps_until
 from experiments.common.seeds import Part, Result, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.demonstrations.conditions import ARMS, EPISODES, LEARNED, PPO, TASKS, Arm, run
-from sb3_options.runs.config import CLONED
+from experiments.demonstrations.conditions import ARMS, EPISODES, LEARNED, PPO, TASKS, Arm, after_cloning, run
 from sb3_options.runs.intervals import probability_of_improvement
 
 
@@ -58,7 +57,7 @@ def main(study: Study) -> None:
         "frames": TASKS,
         "learned": [LEARNED, EPISODES],
         "ppo": PPO,
-        "cloned": CLONED,
+        "cloned": after_cloning(study.episodes),
     }
     results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
     summary: dict[str, dict[str, Any]] = {}

@@ -15,8 +15,9 @@ from experiments.demonstrations.experts import expert_of
 from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.demonstrated import FAILURES
+from sb3_options.checkpoints.demonstrations import MANY
 from sb3_options.envs.minigrid import DISCOVERY, make
-from sb3_options.runs.config import CLONED, CLONED_MAX_RUNS
+from sb3_options.runs.config import CLONED, CLONED_FROM_MANY
 
 Arm = Literal["options, cloning", "cloning", "options"]
 
@@ -48,7 +49,7 @@ PPO: dict[str, Any] = {
     "gae_lambda": 0.95,
     "ent_coef": 0.01,
 }
-"""Those of ``train.py`` for MiniGrid. After cloning it changes `CLONED`."""
+"""Those of ``train.py`` for MiniGrid."""
 
 FIRST_SEED = 10_000
 """Of the episodes that are shown; those of training have others."""
@@ -73,10 +74,16 @@ class UntilLearned(BaseCallback):
         return len(self.recent) == EPISODES and float(np.mean(self.recent)) >= LEARNED
 
 
+def after_cloning(episodes: int) -> dict[str, Any]:
+    """What ``train.py`` sets for a policy that was cloned from so many demonstrations."""
+    return CLONED_FROM_MANY if episodes >= MANY else CLONED
+
+
 def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
     """Frames until learned, those of the demonstrations and of random failures included; None where it is not."""
     max_options = MAX_OPTIONS if "options" in arm else 0
-    max_runs = CLONED_MAX_RUNS if "cloning" in arm else None
+    cloned = dict(after_cloning(episodes)) if "cloning" in arm else {"max_runs": None}
+    max_runs = cloned.pop("max_runs")
 
     def wrapped() -> OptionsWrapper:
         observed = make(task, mission=task in MISSIONS, last_action=True)
@@ -94,14 +101,13 @@ def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
         max_new_options=None if max_options else 0,
     )
     end = UntilLearned()
-    ppo = PPO | (CLONED if "cloning" in arm else {})
     model = MaskablePPO(
         "MlpPolicy",
         make_vec_env(wrapped, N_ENVS, seed=seed),
         gamma=GAMMA,
         seed=seed,
         policy_kwargs={"net_arch": [64, 64]},
-        **ppo,
+        **PPO | cloned,
     )
     model.learn(TASKS[task] - frames, [discovery, end])
     return {

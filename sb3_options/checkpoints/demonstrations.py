@@ -13,6 +13,9 @@ from sb3_options.options.sealed import errors_of, sealed, unsealed
 
 FORMAT = "sb3-options demonstrations 1"
 
+MANY = 50
+"""From so many successful demonstrations on, a cloned policy succeeds often enough that training only refines it."""
+
 
 def save_demonstrations(path: str | os.PathLike[str], trajectories: Iterable[Trajectory]) -> None:
     """Write trajectories to a safetensors file, atomically: arrays and JSON, no code."""

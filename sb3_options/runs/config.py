@@ -20,7 +20,7 @@ from pydantic import AfterValidator, TypeAdapter
 from sb3_options.checked import Field, settings
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.embedding.settings import LEARNED
-from sb3_options.experience.success import success_rule
+from sb3_options.experience.success import judged, success_rule
 from sb3_options.options.settings import OptionLearningSettings, UsefulnessSettings
 from sb3_options.runs import yaml_file
 
@@ -39,12 +39,14 @@ ALGORITHMS = {
 CLONING = ("maskableppo", "ppo", "a2c", "trpo")
 """Algorithms whose policy can be cloned from demonstrations."""
 
-CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003}
-"""Arguments for a cloned policy: an entropy bonus or large updates would undo the cloning."""
+CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003, "max_runs": 5}
+"""Settings for a cloned policy: an entropy bonus or large updates would undo the cloning. The limit is for a policy
+with masks. An option that is learned anew becomes available where the policy was not cloned, and may be chosen there
+again and again."""
 
-CLONED_MAX_RUNS = 5
-"""Limit for a cloned policy with masks. An option that is learned anew becomes available where the policy was not
-cloned, and may be chosen there again and again."""
+CLONED_FROM_MANY = CLONED | {"learning_rate": 0.0001, "max_runs": 15}
+"""The same from `MANY` demonstrations on. Larger updates make a good policy worse, and options are not learned anew
+while it succeeds. In one demonstration of KeyCorridorS6R3 an option may run seven times."""
 
 OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
@@ -173,9 +175,10 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
         # The environment's settings may name arguments of another algorithm.
         defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
         if algo in CLONING and given.get("demonstrations") and given.get("clone", True):
-            defaults |= {name: value for name, value in _flat(CLONED).items() if name in defaults}
-            if algo == "maskableppo" and (defaults | given).get("discovery.segmentation") != "peaks":
-                defaults["max_runs"] = CLONED_MAX_RUNS  # peaks are for tasks without episodes
+            cloned = _flat(CLONED_FROM_MANY if _are_many(given) else CLONED)
+            if algo != "maskableppo" or (defaults | given).get("discovery.segmentation") == "peaks":
+                del cloned["max_runs"]  # peaks are for tasks without episodes
+            defaults |= {name: value for name, value in cloned.items() if name in {*defaults, "max_runs"}}
         own = _nested(given)["algo_kwargs"]
         if own:
             from sb3_options.runs.algorithms import checked_arguments  # which imports SB3
@@ -185,6 +188,17 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
         return TrainConfig(**_nested(defaults | given) | {"algo": algo, "algo_kwargs": arguments})
     except ValueError as error:
         raise ValueError(f"{source}: {str(error).removeprefix('TrainConfig: ')}") from None
+
+
+def _are_many(given: Mapping[str, Any]) -> bool:
+    """Return whether `MANY` demonstrations succeed. Training says what is wrong with a file that cannot be read."""
+    from sb3_options.checkpoints.demonstrations import MANY, load_demonstrations  # only where there are some
+
+    try:
+        rule = success_rule(given.get("success", TrainConfig.success))
+        return sum(judged(rule, each) for each in load_demonstrations(given["demonstrations"])) >= MANY
+    except (OSError, ValueError):
+        return False
 
 
 def _flat(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -206,7 +206,7 @@ def test_options_of_a_cloned_policy_that_succeeds_are_not_learned_anew(
     shown: list[Trajectory], monkeypatch: pytest.MonkeyPatch, settled: float, many: int, clone: bool, stays: bool
 ) -> None:
     monkeypatch.setattr("sb3_options.callbacks.discovery.SETTLED", settled)
-    monkeypatch.setattr("sb3_options.callbacks.discovery.SETTLED_SHOWN", many)
+    monkeypatch.setattr("sb3_options.callbacks.discovery.MANY", many)
     discovery = callback(shown, clone=clone)
     model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=64, batch_size=64, seed=0)
     model.learn(64, [discovery, EndsAtOnce()])

@@ -65,6 +65,10 @@ MOST_STEPS = 5_000
 """Longest training that a page may show without saying how long tests train."""
 
 
+SLOW = ("docs/guide/many-environments.md", "docs/guide/tracking.md")
+"""Pages whose Python starts others' servers: Ray, Weights & Biases, MLflow."""
+
+
 def named(pages: Sequence[Path]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("page", pages, ids=name_of)
 
@@ -86,7 +90,10 @@ def test_readme_fits_on_one_screen() -> None:
     assert len(text_of(README).splitlines()) <= 60
 
 
-@named(PYTHON)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(each, marks=[pytest.mark.slow] * (name_of(each) in SLOW), id=name_of(each)) for each in PYTHON],
+)
 def test_python_runs_as_pasted_but_shorter(page: Path, tmp_path: Path) -> None:
     program = program_of(page)
     steps = [int(n) for n in re.findall(r"learn\(([\d_]+)", program)]

@@ -2,9 +2,12 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
+from sb3_options import logged_trajectory, save_demonstrations
+from sb3_options.checkpoints.demonstrations import MANY
 from sb3_options.cli import parse
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs.minigrid import DISCOVERY
@@ -46,6 +49,23 @@ def test_a_cloned_policy_gets_settings_of_its_own(algo: str) -> None:
     assert configure(algo=algo, demonstrations="a", clone=False).max_runs is None
     assert configure(algo=algo, demonstrations="a", discovery={"segmentation": "peaks"}).max_runs is None
     assert configure(algo=algo, demonstrations="a", learning_rate=0.5).algo_kwargs["learning_rate"] == 0.5
+
+
+@pytest.mark.parametrize(("n", "rate", "max_runs"), [(MANY, 1e-4, 15), (MANY - 1, 3e-4, 5)])
+def test_a_policy_cloned_from_many_demonstrations_learns_with_small_updates(
+    tmp_path: Path, n: int, rate: float, max_runs: int
+) -> None:
+    """Failures do not count, nor does a file that cannot be read."""
+    path = tmp_path / "shown"
+    shown = [logged_trajectory(np.eye(3), [0, 1], [0.0, float(i < n)], terminated=True) for i in range(n + 20)]
+    save_demonstrations(path, shown)
+    assert configure(demonstrations=path).algo_kwargs["learning_rate"] == rate
+    assert configure(demonstrations=path).max_runs == max_runs
+    assert configure(demonstrations=path, learning_rate=0.5).algo_kwargs["learning_rate"] == 0.5
+    assert configure(demonstrations=path, success="steps:2").algo_kwargs["learning_rate"] == rate
+    assert configure(demonstrations=path, success="steps:1").algo_kwargs["learning_rate"] == 3e-4
+    path.write_bytes(b"damaged")
+    assert configure(demonstrations=path).algo_kwargs["learning_rate"] == 3e-4
 
 
 def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:
