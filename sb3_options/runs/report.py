@@ -22,7 +22,7 @@ from sb3_options.options.policies import TabularPolicy
 from sb3_options.runs import folder as runs
 from sb3_options.runs.commands import InspectConfig
 from sb3_options.runs.compare import Goal, compared, read_run, source_of, table_of
-from sb3_options.runs.config import TrainConfig, flag, importing, program
+from sb3_options.runs.config import CLONING, TrainConfig, flag, importing, program
 
 HEADINGS = ("slot", "option", "subgoal", "found after primitive steps", "initiation states", "policy", "longest run")
 
@@ -95,14 +95,16 @@ def closing_report(console: Console, trained: Trained, *, draws: bool) -> None:
     except ValueError as error:  # nothing was logged
         console.print(escape(str(error)))
     path = shlex.quote(str(folder))
+    cloned = config.demonstrations and config.clone and config.algo in CLONING
+    how = " --stochastic" if cloned else ""  # without memory a greedy policy may turn back and forth for ever
     video = f" --video {shlex.quote(f'{folder}/video.mp4')}" if draws else ""
     lines = [
         f"Run folder:   {folder}",
         f"TensorBoard:  python -m tensorboard.main --logdir {path}",
-        f"Evaluate:     {program()} evaluate {path}{video}{_importing(config)}",
+        f"Evaluate:     {program()} evaluate {path}{how}{video}{_importing(config)}",
     ]
-    if not finished and (how := how_to_resume(config, folder)):
-        lines.append(how)
+    if not finished and (resume := how_to_resume(config, folder)):
+        lines.append(resume)
     console.print(*map(escape, lines), sep="\n")
 
 

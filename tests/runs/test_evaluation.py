@@ -7,7 +7,7 @@ import gymnasium as gym
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
-from sb3_options import cli
+from sb3_options import cli, record_demonstrations, save_demonstrations
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs.config import configure
@@ -97,6 +97,23 @@ def test_of_an_environment_that_draws_nothing_no_video_is_proposed_or_made(
     said = "Error: Blank-v0 draws no pictures, for it has no render_mode 'rgb_array': leave --video out.\n"
     assert refused("evaluate", str(run), "--video", str(tmp_path / "film.mp4")) == said
     assert not (tmp_path / "film.mp4").exists()
+
+
+@pytest.mark.parametrize("clone", [True, False])
+def test_of_a_cloned_policy_sampled_actions_are_proposed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], clone: bool
+) -> None:
+    lake = {"is_slippery": False}
+    way = {0: 2, 1: 2, 2: 1, 6: 1, 10: 1, 14: 2}
+    shown = tmp_path / "shown"
+    save_demonstrations(shown, record_demonstrations(gym.make("FrozenLake-v1", **lake), way.__getitem__, 2))
+    config = configure(
+        env="FrozenLake-v1", env_kwargs=lake, demonstrations=shown, clone=clone, n_timesteps=64, n_steps=64, n_envs=1,
+        success="terminated", progress=False, device="cpu", tensorboard_log=tmp_path,
+    )  # fmt: skip
+    train(config)
+    (proposed,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Evaluate:")]
+    assert ("--stochastic" in shlex.split(proposed)) == clone
 
 
 def blank() -> CountingEnv:
