@@ -58,15 +58,12 @@ def with_failures(
     if all(said for _, said in shown):
         longest = max(len(each) for each, _ in shown)
         walks = venv.env_method("random_trajectories", min(len(shown), FAILURES), longest, seed, indices=[0])[0]
-        shown = [*shown, *((each, _ended(each, longest) and judged(success, each)) for each in walks)]
+        # A rule might take one that was cut off for a success.
+        ended = (each.terminated or len(each) < longest for each in walks)
+        shown = [*shown, *((each, whole and judged(success, each)) for each, whole in zip(walks, ended, strict=True))]
     parts = [[each for each in shown if each[1] == said] for said in (False, True)]
     places = np.argsort(np.concatenate([np.linspace(0, 1, len(part)) for part in parts]), kind="stable")
     return [[*parts[0], *parts[1]][place] for place in places]
-
-
-def _ended(walk: Trajectory, longest: int) -> bool:
-    """Return whether a walk ended by itself; a rule might take one that was cut off for a success."""
-    return walk.terminated or len(walk) < longest
 
 
 def _check(trajectory: Any, number: int, traits: Traits) -> None:

@@ -18,7 +18,7 @@ from sb3_options.execution.exploration import cap_option_exploration
 from sb3_options.execution.workers import watch_workers
 from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.learning import heads
-from sb3_options.learning.families import Masked, Networks, family_of, forget_empty, forget_slot
+from sb3_options.learning.families import Masked, Networks, Sampled, family_of, forget_empty, forget_slot
 from sb3_options.learning.masked import stored_availability
 from sb3_options.learning.saved_model import keep_options, put_back
 from sb3_options.options.bank import OptionBank
@@ -139,7 +139,7 @@ class OptionInstaller:
 
     def on_rollout_end(self) -> None:
         """Bring the replay buffer up to date."""
-        if not self.family.has_rollouts:
+        if not isinstance(self.family, Sampled):
             self._uninstall_closed()
         # Only now is the step stored that ended with a new option. No gradient step was taken in between.
         if self._new and self.buffer is not None and self.buffer.tracks_availability and self.buffer.size():

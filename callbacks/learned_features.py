@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -72,7 +73,9 @@ class LearnedFeatures:
             option = options.bank[slot]
             if isinstance(option, SubgoalOption):
                 region = option.initiation_set.around(self.map(initiation))
-                options.replace(slot, option.with_regions(option.subgoal.around(self.map(subgoal)), region))
+                options.replace(
+                    slot, replace(option, subgoal=option.subgoal.around(self.map(subgoal)), initiation_set=region)
+                )
                 self._anchors[slot] = subgoal, initiation, region.points
         return True
 

@@ -170,7 +170,7 @@ class Usefulness:
                 region = option.initiation_set
                 self._remember(slot, option, region.points[lost])
                 self.forget_runs(slot)
-                yield slot, option.with_regions(option.subgoal, replace(region, points=region.points[~lost]))
+                yield slot, replace(option, initiation_set=replace(region, points=region.points[~lost]))
             elif why is not None:
                 yield slot, why
             elif likely.any() and not helps(record.episodes):  # no state is left from which it arrives often enough
@@ -189,7 +189,7 @@ class Usefulness:
             kept = ~(region.points[:, None] == failed[None]).all(axis=2).any(axis=1)
             if not kept.any():
                 return None
-            later = later.with_regions(later.subgoal, replace(region, points=region.points[kept]))
+            later = replace(later, initiation_set=replace(region, points=region.points[kept]))
         self.forget_runs(slot)
         return later
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -44,17 +43,10 @@ class ZooOptionsWrapper(OptionsWrapper):
         ValueError: The model holds no options, they do not fit, or the running program is unknown.
     """
 
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        max_options: int = 4,
-        *,
-        options_file: str | os.PathLike[str] | None = None,
-        **kwargs: Any,
-    ) -> None:
-        if options_file is None:
-            options_file = loaded_model(_program(), sys.argv[1:])
-        super().__init__(env, max_options, options_file=options_file, **kwargs)
+    def __init__(self, env: gym.Env[Any, Any], max_options: int = 4, **kwargs: Any) -> None:
+        if kwargs.get("options_file") is None:
+            kwargs["options_file"] = loaded_model(_program(), sys.argv[1:])
+        super().__init__(env, max_options, **kwargs)
 
     def discount_with(self, gamma: float) -> None:
         """Adopt the discount of the algorithm."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sb3_options.callbacks import SubgoalDiscoveryCallback
@@ -67,4 +69,4 @@ def learn_further(
         old = values[began, action]
         values[began, action] = old + step_size * (target - old) if np.isfinite(old) else target
         known[began] = True
-    return option.with_policy(TabularPolicy(states[known], values[known]))
+    return replace(option, option_policy=TabularPolicy(states[known], values[known]))

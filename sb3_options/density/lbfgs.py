@@ -6,7 +6,6 @@ all. After Bertsekas (1982), the direction omits parameters that the gradient pu
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 
 import torch
@@ -149,13 +148,10 @@ class BatchedLBFGS:
         return ~(held_low | ((self.theta >= self._high) & (self._gradient < 0)))
 
 
-@functools.cache
-def _ring_orders() -> tuple[list[Tensor], list[Tensor]]:
-    """Return, for every place of the oldest pair, the order of s and then y by age, and its inverse."""
-    place = torch.arange(PAIRS)
-    rings = [(place + i) % PAIRS for i in range(PAIRS)]
-    by_age = [torch.cat([ring, ring + PAIRS]) for ring in rings]
-    return by_age, [order.argsort() for order in by_age]
+RINGS = [(torch.arange(PAIRS) + oldest) % PAIRS for oldest in range(PAIRS)]
+OLDEST_FIRST = [torch.cat([ring, ring + PAIRS]) for ring in RINGS]
+AS_STORED = [order.argsort() for order in OLDEST_FIRST]
+"""For every place of the oldest pair, the order of s and then y by age, and its inverse."""
 
 
 class CurvaturePairs:
@@ -175,7 +171,6 @@ class CurvaturePairs:
         self._good = torch.zeros_like(self._sy[:, :, :1])  # (S, n, 1): 1 for a usable pair, else 0
         self._size = theta.new_full((n_starts,), size)  # γ = s·y / y·y of the last good pair; 0 if none is known
         self._n = 0
-        self._oldest_first, self._as_stored = _ring_orders()
 
     def keep(self, columns: list[int], dtype: torch.dtype) -> None:
         """Keep these starts only, in this precision."""
@@ -214,7 +209,7 @@ class CurvaturePairs:
         right = torch.baddbmm(with_g[:, PAIRS:], self._yy, p, beta=-1).mul_(gamma)
         right.addcmul_(self._sy.diagonal(dim1=1, dim2=2)[..., None] * self._good, p)
         q = torch.linalg.solve_triangular(self._sy.transpose(1, 2), right, upper=False)
-        parts = torch.cat([-q, gamma * p], dim=1)[:, self._as_stored[self._n % PAIRS]]
+        parts = torch.cat([-q, gamma * p], dim=1)[:, AS_STORED[self._n % PAIRS]]
         newton = out + (parts.transpose(1, 2) @ self._both)[:, 0].T
         if free is not None:
             newton = torch.where(free, newton, 0)
@@ -223,4 +218,4 @@ class CurvaturePairs:
     def _products(self, row: Tensor) -> Tensor:
         """Return products of (S, 1, P) with every s and every y, oldest first: (S, 2 n, 1)."""
         # With a column on the right instead, the product takes nine times as long.
-        return (row @ self._both.transpose(1, 2)).transpose(1, 2)[:, self._oldest_first[self._n % PAIRS]]
+        return (row @ self._both.transpose(1, 2)).transpose(1, 2)[:, OLDEST_FIRST[self._n % PAIRS]]

@@ -8,7 +8,8 @@ environments at once.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import gymnasium as gym
 from gymnasium import wrappers
@@ -43,19 +44,13 @@ class PrimitiveMonitor(Monitor[Any, Any]):
         self.rewards.extend(float(reward) for reward in rewards[:-1])
         self.total_steps += len(rewards) - 1
         environment = self.env
-        self.env = _Answer((result[0], rewards[-1], *result[2:]))
+        answer = (result[0], rewards[-1], *result[2:])
+        self.env = cast("gym.Env[Any, Any]", SimpleNamespace(step=lambda _: answer))
         try:
             super().step(action)  # which counts the last one, and adds to the info when the episode ends
         finally:
             self.env = environment
         return result
-
-
-class _Answer(gym.Env[Any, Any]):
-    """Returns the recorded result of a step."""
-
-    def __init__(self, result: tuple[Any, ...]) -> None:
-        self.step = lambda action: result  # type: ignore[method-assign]  # as the method
 
 
 def count_primitive_steps(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, SupportsFloat, TypeAlias
 
 import numpy as np
@@ -50,51 +49,6 @@ class RunUnderWay:
             available,
             self.inside,
         )
-
-
-def run_option(
-    option: Option,
-    slot: int,
-    observation: Any,
-    step: Callable[[int], StepReturn],
-    *,
-    inside: bool,
-    available: Callable[[Observations], BoolArray] | None,
-    n_primitive: int,
-    gamma: float,
-    random: np.random.Generator,
-    legal: Callable[[], BoolArray | None],
-) -> tuple[StepReturn, OptionRun]:
-    """Run an option until the episode, β, I or its longest duration ends it, checked in this order.
-
-    The option also ends, as if it had left I, if the environment masks its next primitive action. ``legal`` returns the
-    primitives that are allowed now. Outside I the option runs for one step. ``available`` returns which slots may start
-    in the k observations arrived in, for the record.
-
-    Return the result of the last step, with Σ γⁱ rᵢ as its reward, and the record of the run.
-    """
-    run = RunUnderWay(slot, observation, gamma, inside=inside)
-    termination: Termination | None = None
-    action = primitive_of(option, run.observations[-1], n_primitive)
-    while termination is None:
-        observation, reward, terminated, truncated, info = step(action)
-        run.add(action, reward, observation)
-        if terminated:
-            termination = "terminated"
-        elif truncated:
-            termination = "truncated"
-        else:
-            initiation, probability = option.membership(batch_of_one(observation))
-            goes_on = inside and bool(initiation[0])
-            beta = float(probability[0])
-            termination = why_ended(len(run.actions), option.max_duration, beta, random, goes_on=goes_on)
-        if termination is None:
-            action = primitive_of(option, run.observations[-1], n_primitive)
-            mask = legal()
-            if mask is not None and not mask[action]:
-                termination = "left_initiation"
-    led = None if available is None else available(stack(run.observations[1:]))
-    return (observation, run.total, terminated, truncated, info), run.ended(termination, led)
 
 
 def primitive_of(option: Option, observation: Any, n_primitive: int) -> int:

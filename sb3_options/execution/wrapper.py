@@ -17,11 +17,11 @@ from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
-from sb3_options.execution.option_step import StepReturn, primitive_of, run_option
+from sb3_options.execution.option_step import RunUnderWay, StepReturn, primitive_of, why_ended
 from sb3_options.execution.recording import RecordTrajectories, refuse_own
 from sb3_options.execution.slots import SlotState, Traits, checked_primitives, empty_bank, with_changes
-from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
-from sb3_options.experience.option_run import OptionRun, RunInfo
+from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one, stack
+from sb3_options.experience.option_run import OptionRun, RunInfo, Termination
 from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.success import success_in
 from sb3_options.experience.trajectories import Trajectory
@@ -313,23 +313,34 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         return self._reported(result, option)
 
     def _run_option(self, option: Option, slot: int, observation: Any) -> StepReturn:
+        """Run an option until the episode, β, I or its longest duration ends it, checked in this order.
+
+        The option also ends, as if it had left I, if the environment masks its next primitive action. Outside I it runs
+        for one step.
+        """
         inside = bool(option.initiation(batch_of_one(observation))[0])
         self._runs[slot] += inside
         self._running = slot
-        result, run = run_option(
-            option,
-            slot,
-            observation,
-            self._primitive_step,
-            inside=inside,
-            available=self._available_slots if self.slot_state.report_availability else None,
-            n_primitive=self.n_primitive,
-            gamma=self.gamma,
-            random=self._random,
-            legal=self._legal,
-        )
+        run = RunUnderWay(slot, observation, self.gamma, inside=inside)
+        termination: Termination | None = None
+        action = primitive_of(option, observation, self.n_primitive)
+        while termination is None:
+            result = observation, reward, terminated, truncated, _ = self._primitive_step(action)
+            run.add(action, reward, observation)
+            if terminated or truncated:
+                termination = "terminated" if terminated else "truncated"
+                break
+            initiation, beta = option.membership(batch_of_one(observation))
+            goes_on, n_steps = inside and bool(initiation[0]), len(run.actions)
+            termination = why_ended(n_steps, option.max_duration, float(beta[0]), self._random, goes_on=goes_on)
+            if termination is None:
+                action = primitive_of(option, observation, self.n_primitive)
+                legal = self._legal()
+                if legal is not None and not legal[action]:
+                    termination = "left_initiation"
         self._running = None
-        return self._reported(result, run.as_info())
+        led = self._available_slots(stack(run.observations[1:])) if self.slot_state.report_availability else None
+        return self._reported((observation, run.total, *result[2:]), run.ended(termination, led).as_info())
 
     def _primitive_step(self, action: int) -> StepReturn:
         result = self.env.step(action)

@@ -55,13 +55,6 @@ def judged(rule: SuccessRule, trajectory: Trajectory) -> bool:
     return bool(said)
 
 
-def success_by_return(threshold: float) -> SuccessRule:
-    """Define success as an undiscounted return of at least ``threshold``; an infinite return is an error."""
-    if math.isnan(threshold):
-        raise ValueError("threshold must be a number, got nan.")
-    return lambda trajectory: threshold <= float(trajectory.rewards.sum()) < math.inf
-
-
 def success_by_steps(limit: int) -> SuccessRule:
     """Define success as reported success within ``limit`` primitive steps (McGovern & Barto 2001, §4)."""
     if limit < 1:
@@ -74,7 +67,7 @@ def success_rule(given: SuccessRule | str) -> SuccessRule:
 
     Args:
         given: A function; or "reported" (`reported_success`), "terminated" (every terminal state is a success),
-            "return:30" (`success_by_return`), or "steps:500" (`success_by_steps`).
+            "return:30" (a finite undiscounted return of at least 30), or "steps:500" (`success_by_steps`).
 
     Raises:
         ValueError: The text names no rule.
@@ -83,8 +76,8 @@ def success_rule(given: SuccessRule | str) -> SuccessRule:
         return given
     name, _, value = given.partition(":")
     try:
-        if name == "return":
-            return success_by_return(float(value))
+        if name == "return" and not math.isnan(least := float(value)):
+            return lambda trajectory: least <= float(trajectory.rewards.sum()) < math.inf
         if name == "steps":
             return success_by_steps(int(value))
         return {"reported": reported_success, "terminated": lambda trajectory: trajectory.terminated}[given]

@@ -36,7 +36,6 @@ KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
 class Family:
     """An algorithm without network heads and buffer."""
 
-    has_rollouts: ClassVar[bool] = False  # whether it learns from rollouts, and so from probabilities of actions
     waits_for_rollout: ClassVar[bool] = False  # whether options are installed between rollouts only
     step_seconds: ClassVar[float] = STEP_SECONDS  # nominal training time per primitive step
 
@@ -236,15 +235,11 @@ class Sampled(Networks):
     An update uses the probabilities that the actions had, so no head may open within a rollout.
     """
 
-    has_rollouts = True
     waits_for_rollout = True
 
     def outputs(self, batch: Any) -> torch.Tensor:
         """Return the logarithms of the probabilities."""
-        return torch.as_tensor(self._distribution(batch).distribution.logits)
-
-    def _distribution(self, batch: Any) -> Any:
-        return self.model.policy.get_distribution(batch)
+        return torch.as_tensor(self.model.policy.get_distribution(batch).distribution.logits)
 
     def widen(self, actions: spaces.Discrete) -> None:
         """Also tell the distribution and the rollout buffer of the actions."""
@@ -278,11 +273,12 @@ class Recurrent(Sampled):
                 "would remember that: use OptionsWrapper, or an algorithm without memory."
             )
 
-    def _distribution(self, batch: Any) -> Any:
+    def outputs(self, batch: Any) -> torch.Tensor:
+        """Return the logarithms of the probabilities without a memory."""
         policy = self.model.policy
         memory = torch.zeros(policy.lstm_hidden_state_shape, device=policy.device)
         distribution, _ = policy.get_distribution(batch, (memory, memory), torch.ones(1, device=policy.device))
-        return distribution
+        return torch.as_tensor(distribution.distribution.logits)
 
 
 def family_of(model: BaseAlgorithm) -> Family:

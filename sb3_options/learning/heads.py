@@ -39,7 +39,7 @@ def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
         TypeError: There is no such network, or it has no such layer.
     """
     n_actions = int(policy.action_space.n)
-    if has_networks(policy):
+    if networks(policy):
         outputs = int(getattr(networks(policy)[0], "n_quantiles", 1))
         where = f"q_net or quantile_net of {type(policy).__name__}"
         return [(last_layer(network, where, n_actions * outputs), outputs) for network in networks(policy)]
@@ -64,15 +64,10 @@ def last_layer(network: torch.nn.Module, name: str, n_outputs: int) -> torch.nn.
     return fitting[-1]
 
 
-def networks(policy: Any) -> tuple[Any, Any]:
-    """Return the online and the target network of DQN or QRDQN."""
-    name = next(name for name in VALUES if getattr(policy, f"{name}_target", None) is not None)
-    return getattr(policy, name), getattr(policy, f"{name}_target")
-
-
-def has_networks(policy: Any) -> bool:
-    """Return whether the policy gives values of actions, as those of DQN and QRDQN do."""
-    return any(getattr(policy, f"{name}_target", None) is not None for name in VALUES)
+def networks(policy: Any) -> tuple[Any, ...]:
+    """Return the online and the target network of DQN or QRDQN; none of a policy without values of actions."""
+    pairs = ((getattr(policy, name, None), getattr(policy, f"{name}_target", None)) for name in VALUES)
+    return next((pair for pair in pairs if pair[1] is not None), ())
 
 
 def rows_of(layer: torch.nn.Linear, outputs_per_action: int, action: int) -> torch.Tensor:
@@ -144,10 +139,10 @@ def check_outputs(policy: Any, actions_of: Callable[[], torch.Tensor]) -> None:
     layer.bias[rows] += added
     moved = (actions_of() - before).flatten(end_dim=-2) / added
     layer.bias.copy_(bias)
-    if not has_networks(policy):
+    if not networks(policy):
         moved = moved - moved[:, :1]
     if moved[:, :-1].abs().max() > ROUNDING or (moved[:, -1] - 1.0).abs().max() > ROUNDING:
-        where = "q_net or quantile_net" if has_networks(policy) else "action_net"
+        where = "q_net or quantile_net" if networks(policy) else "action_net"
         raise TypeError(
             f"{type(policy).__name__} makes something else of the outputs of the last torch.nn.Linear of its {where}, "
             "as dueling networks do, so that closing an empty slot would change all actions: let it return what that "

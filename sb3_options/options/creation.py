@@ -91,9 +91,8 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
     rows, states, values = known.rows_for(new.states)
     values[rows] = new.values
     union = np.unique(np.concatenate([option.initiation_set.points, later.initiation_set.points]), axis=0)
-    other = option.with_policy(TabularPolicy(states, values))
-    other.initiation_set = replace(option.initiation_set, points=union)
-    return other
+    there = replace(option.initiation_set, points=union)
+    return replace(option, initiation_set=there, option_policy=TabularPolicy(states, values))
 
 
 FIRST_GROWTH = 5  # an adopted option counts as made from this many trajectories

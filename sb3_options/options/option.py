@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
-from dataclasses import KW_ONLY, InitVar, dataclass
+from dataclasses import KW_ONLY, InitVar, dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -212,7 +211,9 @@ class SubgoalOption(Option):
     def __post_init__(self, feature_map: FeatureMap | None) -> None:
         """Bind the option to φ, if there is one."""
         self.max_duration = checked_duration(self.max_duration)
-        self._set_feature_map(feature_map)
+        if feature_map is not None and not isinstance(feature_map, KnownFeatures):
+            feature_map = KnownFeatures(feature_map)
+        self.known_features = feature_map
         self._forget_results()
 
     def _forget_results(self) -> None:
@@ -222,27 +223,9 @@ class SubgoalOption(Option):
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """Return the same option with φ set."""
-        bound = copy.copy(self)
-        bound._set_feature_map(feature_map)
+        bound = replace(self, feature_map=feature_map)
         bound._membership, bound._greedy = self._membership, self._greedy
         return bound
-
-    def _set_feature_map(self, feature_map: FeatureMap | None) -> None:
-        if feature_map is not None and not isinstance(feature_map, KnownFeatures):
-            feature_map = KnownFeatures(feature_map)
-        self.known_features = feature_map
-
-    def with_policy(self, option_policy: OptionPolicy) -> SubgoalOption:
-        """Return the same option with another π, not yet bound to φ."""
-        other = copy.copy(self)  # neither cache nor φ is copied
-        other.option_policy = option_policy
-        return other
-
-    def with_regions(self, subgoal: Region, initiation_set: Region) -> SubgoalOption:
-        """Return the same option with subgoal and I elsewhere in concept space, not yet bound to φ."""
-        other = copy.copy(self)
-        other.subgoal, other.initiation_set = subgoal, initiation_set
-        return other
 
     def initiation(self, observations: Observations) -> BoolArray:
         """Return whether each observation lies in I, shape (batch,)."""

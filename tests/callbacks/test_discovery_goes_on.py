@@ -2,6 +2,7 @@
 
 import logging
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +110,7 @@ def test_an_option_that_no_success_needs_gives_its_slot_to_one_that_is_discovere
     env = optioned_rooms(1)
     elsewhere = Region(np.full((1, 2), 99.0), np.ones(2), 0.5)
     option = to_the_doorway(Direction.LEFT, (3, 2))
-    env.bank.add(option.with_regions(elsewhere, option.initiation_set))
+    env.bank.add(replace(option, subgoal=elsewhere))
     callback = fast_callback(max_new_options=1, use={"max_option_exploration": 0.05})
     model_of(env, seed=0).learn(3 * STEPS, callback=callback)
     assert [(closed.slot, closed.why) for closed in callback.closed] == [(0, "is not needed")]

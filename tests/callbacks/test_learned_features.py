@@ -139,7 +139,7 @@ def test_a_narrowed_initiation_set_keeps_its_observations() -> None:
     *_, last = search.database
     search.database._replace([])
     search.database.add(LabelledTrajectory(last.trajectory, last.features + 1000.0, last.success))
-    features.remember(found.slot, option.with_regions(option.subgoal, narrowed), search)
+    features.remember(found.slot, dataclasses.replace(option, initiation_set=narrowed), search)
     _, observations, known = features._anchors[found.slot]
     assert np.array_equal(known, points[:-1])
     at = np.unique(env.concept_features(np.asarray(observations)), axis=0)

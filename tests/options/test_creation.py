@@ -162,7 +162,7 @@ def test_joined_options_start_where_either_does_and_act_as_the_later_one_where_i
     first, later = learned(2, 3, 4, 5), learned(8, 7, 6, 5)
     assert isinstance(later.option_policy, TabularPolicy)
     # Here the way from 4 leads left.
-    later = later.with_policy(TabularPolicy(*(np.concatenate(pair) for pair in (
+    later = replace(later, option_policy=TabularPolicy(*(np.concatenate(pair) for pair in (
         (later.option_policy.states, [[4.0]]), (later.option_policy.values, [[-1.0, -np.inf]])
     ))))  # fmt: skip
     both = joined(first, later).bind(flatten)
@@ -170,7 +170,9 @@ def test_joined_options_start_where_either_does_and_act_as_the_later_one_where_i
     assert np.flatnonzero(both.initiation(places)).tolist() == [2, 3, 4, 6, 7, 8]
     assert both.policy(places[[2, 3, 4, 6, 7, 8]]).tolist() == [RIGHT, RIGHT, LEFT, LEFT, LEFT, LEFT]
     assert np.flatnonzero(first.bind(flatten).initiation(places)).tolist() == [2, 3, 4]  # unchanged
-    network = learned(2, 3, 4, 5).with_policy(NetworkPolicy(np.zeros(1), np.ones(1), [np.eye(1, 2)], [np.zeros(2)]))
+    network = replace(
+        learned(2, 3, 4, 5), option_policy=NetworkPolicy(np.zeros(1), np.ones(1), [np.eye(1, 2)], [np.zeros(2)])
+    )
     assert joined(network, later) is network
 
 
