@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -105,7 +105,7 @@ class Choice(NamedTuple):
     mask: npt.NDArray[Any] | None
 
 
-class SMDPAdvantages:
+class SMDPAdvantages(RolloutBuffer):
     """Advantages of a semi-Markov process for an SB3 rollout buffer, which comes after this class in the bases.
 
     SB3 discounts every transition with γ, and adds γ V(s) to the last reward of an episode that timed out. Here both
@@ -123,20 +123,6 @@ class SMDPAdvantages:
     durations: FloatArray
     waits: bool = False  # whether environments wait for options to end, so that a row is a primitive step
 
-    # Attributes of the SB3 buffer.
-    buffer_size: int
-    n_envs: int
-    gamma: float
-    gae_lambda: float
-    rewards: npt.NDArray[np.float32]
-    values: npt.NDArray[np.float32]
-    episode_starts: npt.NDArray[np.float32]
-    advantages: npt.NDArray[np.float32]
-    returns: npt.NDArray[np.float32]
-    pos: int
-    generator_ready: bool
-    _get_samples: Callable[..., Any]
-
     def reset(self) -> None:
         """Forget the last rollout."""
         if self.next_size is not None:
@@ -149,7 +135,7 @@ class SMDPAdvantages:
         self.discounts = np.full((self.buffer_size, self.n_envs), self.gamma)
         self._expected: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None = None
         self._choices: dict[int, Choice] = getattr(self, "_choices", {})  # a rollout may end while options run
-        super().reset()  # type: ignore[misc]  # the SB3 buffer's
+        super().reset()
 
     def expect(
         self, rewards: npt.NDArray[Any], runs: Sequence[OptionRun], normalizer: VecNormalize | None = None
@@ -186,7 +172,7 @@ class SMDPAdvantages:
         rewards = plain + bootstrap * discounts / self.gamma
         self.durations[self.pos] = durations
         self.discounts[self.pos] = discounts
-        super().add(observations, actions, rewards, starts, values, log_probs, *others, **kwargs)  # type: ignore[misc]  # the SB3 buffer's
+        super().add(observations, actions, rewards, starts, values, log_probs, *others, **kwargs)
 
     def _swap_choices(
         self,
@@ -242,10 +228,10 @@ class SMDPAdvantages:
         """
         rows = self._learned_from.T.ravel().nonzero()[0]  # in SB3's order: one environment after another
         if len(rows) == self._learned_from.size:
-            yield from super().get(batch_size)  # type: ignore[misc]  # the SB3 buffer's
+            yield from super().get(batch_size)
             return
         if not self.generator_ready:
-            next(super().get(1))  # type: ignore[misc]  # lays them out
+            next(super().get(1))  # lays them out
         if not len(rows):  # nothing ended; a row without advantage teaches nothing
             rows = np.arange(1)
             self.advantages[:1] = 0.0
