@@ -75,7 +75,7 @@ class UntilLearned(BaseCallback):
 
 
 def after_cloning(episodes: int) -> dict[str, Any]:
-    """What ``train.py`` sets for a policy that was cloned from so many demonstrations."""
+    """What ``train.py`` sets for a policy that was cloned from so many demonstrations, if all of them succeed."""
     return CLONED_FROM_MANY if episodes >= MANY else CLONED
 
 

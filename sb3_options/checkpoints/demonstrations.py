@@ -14,7 +14,8 @@ from sb3_options.options.sealed import errors_of, sealed, unsealed
 FORMAT = "sb3-options demonstrations 1"
 
 MANY = 50
-"""From so many successful demonstrations on, a cloned policy succeeds often enough that training only refines it."""
+"""From so many successful demonstrations on, training refines a cloned policy. Chosen by hand between 20, from which it
+must still explore, and 100, from which small updates were better (docs/studies/demonstrations.md)."""
 
 
 def save_demonstrations(path: str | os.PathLike[str], trajectories: Iterable[Trajectory]) -> None:

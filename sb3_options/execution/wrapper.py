@@ -331,8 +331,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 termination = "terminated" if terminated else "truncated"
                 break
             initiation, beta = option.membership(batch_of_one(observation))
-            goes_on, n_steps = inside and bool(initiation[0]), len(run.actions)
-            termination = why_ended(n_steps, option.max_duration, float(beta[0]), self._random, goes_on=goes_on)
+            goes_on = inside and bool(initiation[0])
+            duration = len(run.actions)
+            termination = why_ended(duration, option.max_duration, float(beta[0]), self._random, goes_on=goes_on)
             if termination is None:
                 action = primitive_of(option, observation, self.n_primitive)
                 legal = self._legal()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from numbers import Real
-from operator import itemgetter
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -66,13 +65,26 @@ class OptionRun(NamedTuple):
         """
         try:
             option = info["option"]
+            get = option.get
             # Not by `_make`, which counts the fields: this runs once or twice in every step.
-            return tuple.__new__(cls, (*_REQUIRED(option), *map(option.get, _OPTIONAL)))
+            return tuple.__new__(
+                cls,
+                (
+                    option["index"],
+                    option["duration"],
+                    option["discount"],
+                    option["gamma"],
+                    option["termination"],
+                    get("observations"),
+                    get("actions"),
+                    get("rewards"),
+                    get("available"),
+                    get("inside"),
+                    get("chosen"),
+                ),
+            )
         except (AttributeError, KeyError, TypeError):
             return _completed(info.get("option"))
-
-
-_REQUIRED, _OPTIONAL = itemgetter(*OptionRun._fields[:5]), OptionRun._fields[5:]
 
 
 class RunInfo(dict[str, Any]):

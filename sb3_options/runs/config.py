@@ -44,6 +44,9 @@ CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003, "max_runs": 5}
 with masks. An option that is learned anew becomes available where the policy was not cloned, and may be chosen there
 again and again."""
 
+REFINED = ("maskableppo", "ppo")
+"""Algorithms for which smaller updates from many demonstrations on were measured, or work in the same way."""
+
 CLONED_FROM_MANY = CLONED | {"learning_rate": 0.0001, "max_runs": 15}
 """The same from `MANY` demonstrations on. Larger updates make a good policy worse, and options are not learned anew
 while it succeeds. In one demonstration of KeyCorridorS6R3 an option may run seven times."""
@@ -175,8 +178,9 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
         # The environment's settings may name arguments of another algorithm.
         defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
         if algo in CLONING and given.get("demonstrations") and given.get("clone", True):
-            cloned = _flat(CLONED_FROM_MANY if _are_many(given) else CLONED)
-            if algo != "maskableppo" or (defaults | given).get("discovery.segmentation") == "peaks":
+            cloned = _flat(CLONED_FROM_MANY if algo in REFINED and _are_many(given) else CLONED)
+            whole = getattr(given.get("discovery"), "segmentation", None)
+            if algo != "maskableppo" or "peaks" in (whole, (defaults | given).get("discovery.segmentation")):
                 del cloned["max_runs"]  # peaks are for tasks without episodes
             defaults |= {name: value for name, value in cloned.items() if name in {*defaults, "max_runs"}}
         own = _nested(given)["algo_kwargs"]
@@ -191,12 +195,18 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
 
 
 def _are_many(given: Mapping[str, Any]) -> bool:
-    """Return whether `MANY` demonstrations succeed. Training says what is wrong with a file that cannot be read."""
+    """Return whether `MANY` demonstrations succeed, unless the file decides nothing.
+
+    Training says what is wrong with a file that cannot be read, and `TrainConfig` with a value that is no path or rule.
+    """
+    path, rule = given["demonstrations"], given.get("success", TrainConfig.success)
+    decided = {ARGUMENT + "learning_rate", "max_runs"} <= given.keys()  # as in every saved configuration
+    if decided or not (isinstance(path, str | Path) and isinstance(rule, str) and Path(path).is_file()):
+        return False
     from sb3_options.checkpoints.demonstrations import MANY, load_demonstrations  # only where there are some
 
     try:
-        rule = success_rule(given.get("success", TrainConfig.success))
-        return sum(judged(rule, each) for each in load_demonstrations(given["demonstrations"])) >= MANY
+        return sum(judged(success_rule(rule), each) for each in load_demonstrations(path)) >= MANY
     except (OSError, ValueError):
         return False
 

@@ -66,7 +66,7 @@ MOST_STEPS = 5_000
 
 
 SLOW = ("docs/guide/many-environments.md", "docs/guide/tracking.md")
-"""Pages whose Python starts others' servers: Ray, Weights & Biases, MLflow."""
+"""Pages whose Python starts third-party servers: Ray, Weights & Biases, MLflow."""
 
 
 def named(pages: Sequence[Path]) -> pytest.MarkDecorator:

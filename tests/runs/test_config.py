@@ -1,4 +1,5 @@
 import dataclasses
+import os
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,24 @@ def test_a_policy_cloned_from_many_demonstrations_learns_with_small_updates(
     assert configure(demonstrations=path, learning_rate=0.5).algo_kwargs["learning_rate"] == 0.5
     assert configure(demonstrations=path, success="steps:2").algo_kwargs["learning_rate"] == rate
     assert configure(demonstrations=path, success="steps:1").algo_kwargs["learning_rate"] == 3e-4
+    assert configure(algo="trpo", demonstrations=path).algo_kwargs["learning_rate"] == 3e-4
+    assert configure(demonstrations=path, discovery=DiscoverySettings(segmentation="peaks")).max_runs is None
     path.write_bytes(b"damaged")
+    assert configure(demonstrations=path).algo_kwargs["learning_rate"] == 3e-4
+
+
+@pytest.mark.parametrize("wrong", [{"demonstrations": 5}, {"success": 5}, {"success": None}], ids=str)
+def test_demonstrations_are_not_looked_for_by_what_is_no_path_or_rule(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    path = tmp_path / "shown"
+    save_demonstrations(path, [logged_trajectory(np.eye(3), [0, 1], [0.0, 1.0], terminated=True)])
+    (name,) = wrong
+    with pytest.raises(ValueError, match=f"^settings: {name} "):
+        configure(**{"demonstrations": path, **wrong})
+
+
+def test_a_pipe_is_not_read_to_learn_how_many_demonstrations_there_are(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
     assert configure(demonstrations=path).algo_kwargs["learning_rate"] == 3e-4
 
 
