@@ -57,7 +57,11 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def __init__(self, kind: NoveltyKind = "counts", *, weight: float = 0.1, seed: int = 0) -> None:
         super().__init__()
-        if kind not in get_args(NoveltyKind) or not (is_number(weight) and 0.0 <= weight < math.inf):
+        if (
+            not isinstance(kind, str)
+            or kind not in get_args(NoveltyKind)
+            or not (is_number(weight) and 0.0 <= weight < math.inf)
+        ):
             raise ValueError(
                 f"kind must be 'counts' or 'rnd', and weight finite and at least 0, got {kind!r} and {weight!r}."
             )
