@@ -1,4 +1,4 @@
-"""An option from start to end: one step of a semi-Markov decision process."""
+"""A run of an option that is under way, and why it ends; `OptionsWrapper` and `OptionsVecEnv` both use these."""
 
 from __future__ import annotations
 
