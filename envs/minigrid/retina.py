@@ -50,7 +50,6 @@ PAIRS = (("key", "locked_door"), ("key", "closed_door"), ("ball", "open_door"), 
 """Pairs of kinds that may matter together: a thing that is carried or lies around, and its use or what it blocks."""
 
 _NOTHING = N_KINDS
-_NUMBERS = np.arange(N_KINDS)[:, None]
 
 
 def _kinds() -> npt.NDArray[np.int8]:
@@ -89,18 +88,19 @@ def retina(
     cells = images.reshape(n, view * view, 3)
     objects, colours, states = (cells[..., channel].astype(np.intp) for channel in range(3))
     kind = _KIND_OF[objects, states]
-    match = kind[:, None, sight.nearest_first] == _NUMBERS  # (batch, kinds, cells)
+    nearest = np.full((n, N_KINDS + 1), view * view)
+    # Of equal indices numpy assigns the last, so the farthest cells come first.
+    nearest[np.arange(n)[:, None], kind[:, sight.nearest_first[::-1]]] = np.arange(view * view)[::-1]
+    nearest = nearest[:, :_NOTHING]
     if asked is not None:
-        match = np.concatenate([match, _asked(objects, colours, asked)[..., sight.nearest_first]], axis=1)
-    nearest = match.argmax(axis=2)
-    visible = np.take_along_axis(match, nearest[..., None], axis=2)[..., 0]
-    features = np.empty((n, 3 * match.shape[1] + len(AHEAD)))
-    first = 3 * N_KINDS
-    for begin, end, of in ((0, first, slice(N_KINDS)), (first + len(AHEAD), None, slice(N_KINDS, None))):
-        things, there = features[:, begin:end], visible[:, of]
-        things[:, 0::3] = there
-        things[:, 1::3] = there * sight.forward[nearest[:, of]]
-        things[:, 2::3] = there * sight.lateral[nearest[:, of]]
+        match = _asked(objects, colours, asked)[..., sight.nearest_first]
+        found = np.where(match.any(axis=2), match.argmax(axis=2), view * view)
+        nearest = np.concatenate([nearest, found], axis=1)
+    things = sight.places[nearest].reshape(n, len(THING) * nearest.shape[1])
+    first = len(THING) * N_KINDS
+    features = np.empty((n, things.shape[1] + len(AHEAD)))
+    features[:, :first] = things[:, :first]
+    features[:, first + len(AHEAD) :] = things[:, first:]
     ahead = objects[:, sight.ahead]
     features[:, first] = ahead == WALL
     features[:, first + 1] = _WALKABLE[ahead] | (kind[:, sight.ahead] == KINDS.index("open_door"))
@@ -113,16 +113,14 @@ class _Sight(NamedTuple):
 
     Attributes:
         nearest_first: Cell indices by steps from the agent, ties column by column, (v²,).
-        forward: Forward distance of each cell in this order, in cells.
-        lateral: Lateral distance in this order, in cells.
+        places: Features of a thing in each cell, in this order, and of an absent one, (v² + 1, 3).
         ahead: Index of the cell ahead.
         left: Index of the cell to the left.
         right: Index of the cell to the right.
     """
 
     nearest_first: npt.NDArray[np.intp]
-    forward: npt.NDArray[np.intp]
-    lateral: npt.NDArray[np.intp]
+    places: npt.NDArray[np.float64]
     ahead: int
     left: int
     right: int
@@ -136,7 +134,9 @@ def _sight(view: int) -> _Sight:
     forward, lateral = last - rows, columns - middle
     order = np.argsort(forward + np.abs(lateral), kind="stable")
     ahead, left, right = middle * view + last - 1, (middle - 1) * view + last, (middle + 1) * view + last
-    return _Sight(order, forward[order], lateral[order], ahead, left, right)
+    places = np.zeros((view * view + 1, len(THING)))
+    places[:-1] = np.stack([np.ones(view * view), forward[order], lateral[order]], axis=1)
+    return _Sight(order, places, ahead, left, right)
 
 
 def _asked(objects: npt.NDArray[Any], colours: npt.NDArray[Any], asked: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

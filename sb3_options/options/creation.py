@@ -16,7 +16,7 @@ from sb3_options.options.policies import OptionPolicy, TabularPolicy
 from sb3_options.options.reach import reliable_part
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import Transitions, contained, initiation_set, transitions_to
+from sb3_options.options.tasks import Transitions, initiation_set, transitions_to
 
 MIN_REACH = 0.5
 """Least probability, by the saved steps, of reaching the subgoal from a state of I on a group of features."""
@@ -113,7 +113,7 @@ class OptionGrowth:
 
     def made(self, slot: int, subgoal: Region, trajectories: Iterable[LabelledTrajectory]) -> None:
         """Count the ``trajectories`` that the option in ``slot`` was made from."""
-        reached = sum(bool(states.any()) for states in contained(subgoal, [*trajectories]))
+        reached = sum(bool(subgoal.contains(each.features).any()) for each in trajectories)
         self._reached[slot] = self._learned_from[slot] = reached
 
     def adopted(self, slot: int) -> None:

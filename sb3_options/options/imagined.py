@@ -76,10 +76,11 @@ def imagined_farther(
 def displacements(transitions: Transitions, moving: BoolArray) -> list[Displacement]:
     """Return the rules that nearly all saved steps agree on; ``moving`` says which features are coordinates, (k,)."""
     states = flatten(transitions.states) + 0.0
-    steps = np.stack([transitions.began, transitions.actions, transitions.led], axis=1)
-    distinct, counts = np.unique(steps, axis=0, return_counts=True)
+    sizes = len(states), int(transitions.actions.max()) + 1, len(states)
+    steps = np.ravel_multi_index((transitions.began, transitions.actions, transitions.led), sizes)
+    distinct, counts = np.unique(steps, return_counts=True)
     moves: dict[tuple[int, bytes], Counter[bytes]] = defaultdict(Counter)
-    for (began, action, led), count in zip(distinct, counts, strict=True):
+    for began, action, led, count in zip(*np.unravel_index(distinct, sizes), counts, strict=True):
         move = states[led][moving] - states[began][moving] + 0.0
         moves[int(action), states[began][~moving].tobytes()][move.tobytes()] += int(count)
     rules = []

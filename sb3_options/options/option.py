@@ -53,7 +53,7 @@ class KnownResults(Generic[Result]):
         result = self._results.get(key)
         if result is None:
             result = compute(observations)
-            self._keep([key], [result])
+            self._keep(key, result)
         else:
             self._hits += 1
         return result
@@ -69,16 +69,16 @@ class KnownResults(Generic[Result]):
             computed = compute(observations if len(new) == len(keys) else obs_batch.take(observations, np.array(new)))
             for place, i in enumerate(new):
                 results[i] = computed[place : place + 1]
-            self._keep([keys[i] for i in new], [results[i] for i in new])
+                self._keep(keys[i], results[i])
         return np.concatenate(results)
 
-    def _keep(self, keys: list[bytes], results: list[Any]) -> None:
+    def _keep(self, key: bytes, result: npt.NDArray[Result]) -> None:
         if self._bytes > CACHE_BYTES:
             self._gave_up = self._hits < len(self._results)
             self._results.clear()
             self._bytes = self._hits = 0
-        self._results |= zip(keys, results, strict=True)
-        self._bytes += sum(map(len, keys)) + sum(result.nbytes for result in results) + CACHE_ENTRY_BYTES * len(keys)
+        self._results[key] = result
+        self._bytes += len(key) + result.nbytes + CACHE_ENTRY_BYTES
 
 
 class KnownFeatures:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sb3_options.density.arrays import row_keys
+from sb3_options.density.arrays import distinct_rows, row_keys
 from sb3_options.density.regions import Region
 from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
@@ -52,20 +52,26 @@ def initiation_set(
     if no trajectory visits the subgoal.
     """
     trajectories = list(trajectories)
-    points: list[FloatArray] = [t.features[:0] for t in trajectories[:1]] or [subgoal.points[:0]]
-    for labelled, reached in zip(trajectories, contained(subgoal, trajectories), strict=True):
-        visits = labelled.trajectory.visits
-        times = np.flatnonzero(reached[visits])[:1]  # a later visit may come from behind
-        before = np.unique(
-            [row for t in times for row in visits[max(0, t - settings.initiation_steps) : t]],
-        ).astype(np.int64)
-        points.append(labelled.features[before])
-    union = np.unique(np.concatenate(points), axis=0)
-    outside = union[~subgoal.contains(union)]
+    if not trajectories:
+        return _with_centres(subgoal.points[:0], subgoal, settings)
+    visits, ends = _joined_visits(trajectories)
+    features = np.concatenate([each.features for each in trajectories])
+    visiting = np.flatnonzero(_contained(subgoal, features)[visits])
+    # In each trajectory the first visit counts, because a later one may come from behind.
+    which, first = np.unique(np.searchsorted(ends, visiting, side="right"), return_index=True)
+    until = visiting[first]
+    begin = np.maximum(until - settings.initiation_steps, np.concatenate([[0], ends])[which])
+    before = [visits[:0], *(visits[i:j] for i, j in zip(begin, until, strict=True))]
+    union = distinct_rows(features[np.unique(np.concatenate(before))])
+    return _with_centres(union[~subgoal.contains(union)], subgoal, settings)
+
+
+def _with_centres(outside: FloatArray, subgoal: Region, settings: OptionLearningSettings) -> Region:
+    """Return the initiation set of places ``outside`` the subgoal, (n, d)."""
     if subgoal.group is None:
         return Region(outside, subgoal.scale, settings.initiation_radius)
     group = subgoal.group.sees
-    outside = np.unique(group.own(outside[group.is_place(outside)]), axis=0)
+    outside = distinct_rows(group.own(outside[group.is_place(outside)]))
     scale = np.asarray(group.scale) * (subgoal.scale / np.asarray(subgoal.group.scale)).max()
     return Region(outside, scale, settings.initiation_radius, group=group)
 
@@ -82,29 +88,45 @@ def transitions_to(
     terminal state.
     """
     trajectories = list(trajectories)
-    row_of: dict[bytes, int] = {}
-    states: list[Observations] = []
-    columns: list[tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]] = []
-    both = zip(contained(subgoal, trajectories), contained(initiation, trajectories), strict=True)
-    for labelled, (reached, within) in zip(trajectories, both, strict=True):
-        trajectory = labelled.trajectory
-        times, rewards, ends = _steps(trajectory, reached, within & ~reached, settings.leave_reward)
-        if not len(times):
-            continue
-        began, led = trajectory.visits[times], trajectory.visits[times + 1]
-        seen = initiation.own(labelled.features) if settings.policy_input == "features" else trajectory.states
-        row = np.full(len(labelled.features), -1)
-        row[began] = row[led] = 0
-        which = np.flatnonzero(row == 0)
-        last_known = len(row_of) - 1
-        row[which] = [row_of.setdefault(k, len(row_of)) for k in value_keys(obs_batch.take(seen, which))]
-        newest = np.maximum.accumulate([last_known, *row[which]])
-        states.append(obs_batch.take(seen, which[np.diff(newest) > 0]))
-        columns.append((row[began], trajectory.actions[times], rewards, row[led], ends))
-    if not states:
+    if not trajectories:
         return None
-    began, actions, rewards, led, ends = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return Transitions(obs_batch.concatenate(states), began, actions, rewards, led, ends)
+    visits, ends = _joined_visits(trajectories)
+    features = np.concatenate([each.features for each in trajectories])
+    reached = _contained(subgoal, features)
+    inside = _contained(initiation, features) & ~reached
+    begins = inside[visits]
+    begins[ends - 1] = False  # a trajectory acts in all states that it visits but the last
+    times = np.flatnonzero(begins)
+    if not len(times):
+        return None
+    began, led = visits[times], visits[times + 1]
+    actions = np.concatenate([each.trajectory.actions for each in trajectories])
+    actions = actions[times - np.searchsorted(ends, times, side="right")]
+    terminal = np.zeros(len(visits), dtype=bool)
+    terminal[ends - 1] = [each.trajectory.terminated for each in trajectories]
+    goes_on = inside[led] & ~terminal[times + 1]
+    rewards = np.where(reached[led], SUBGOAL_REWARD, np.where(goes_on, STEP_REWARD, settings.leave_reward))
+    used = np.zeros(len(features), dtype=bool)
+    used[began] = used[led] = True
+    if settings.policy_input == "features":
+        seen: Observations = initiation.own(features[used])
+    else:
+        parts = np.split(used, np.cumsum([len(each.features) for each in trajectories[:-1]]))
+        pairs = zip(trajectories, parts, strict=True)
+        seen = obs_batch.concatenate([obs_batch.take(each.trajectory.states, np.flatnonzero(of)) for each, of in pairs])
+    row_of: dict[bytes, int] = {}
+    row = np.zeros(len(features), dtype=np.int64)
+    row[used] = [row_of.setdefault(key, len(row_of)) for key in value_keys(seen)]
+    new = np.diff(np.maximum.accumulate(row[used]), prepend=-1) > 0
+    return Transitions(obs_batch.take(seen, np.flatnonzero(new)), row[began], actions, rewards, row[led], ~goes_on)
+
+
+def _joined_visits(trajectories: Sequence[LabelledTrajectory]) -> tuple[IntArray, IntArray]:
+    """Return all visits as rows of the joined distinct states, and where each trajectory's visits end."""
+    first = np.cumsum([0, *(len(each.features) for each in trajectories[:-1])])
+    visits = [each.trajectory.visits for each in trajectories]
+    lengths = list(map(len, visits))
+    return np.concatenate(visits) + np.repeat(first, lengths), np.cumsum(lengths)
 
 
 def value_keys(observations: Observations) -> list[bytes]:
@@ -114,27 +136,7 @@ def value_keys(observations: Observations) -> list[bytes]:
     return row_keys(observations.reshape(len(observations), math.prod(observations.shape[1:])))
 
 
-def contained(region: Region, trajectories: Sequence[LabelledTrajectory]) -> list[BoolArray]:
-    """Return whether the region contains each distinct state of each trajectory, (m,) each, in few calls."""
-    ends = np.cumsum([0, *(len(each.features) for each in trajectories)])
-    parts: list[BoolArray] = []
-    while len(parts) < len(trajectories):
-        begin = len(parts)
-        end = max(int(np.searchsorted(ends, ends[begin] + AT_ONCE, side="right")) - 1, begin + 1)
-        features = np.concatenate([each.features for each in trajectories[begin:end]])
-        parts += np.split(region.contains(features), ends[begin + 1 : end] - ends[begin])
-    return parts
-
-
-def _steps(
-    trajectory: Trajectory, reached: BoolArray, inside: BoolArray, leave_reward: float
-) -> tuple[IntArray, FloatArray, BoolArray]:
-    """Return when each step of a trajectory's task began, its reward, and whether it ends the task, (k,) each."""
-    began, led = trajectory.visits[:-1], trajectory.visits[1:]
-    times = np.flatnonzero(inside[began])
-    goes_on = inside[led]
-    if trajectory.terminated:
-        goes_on[-1] = False
-    led, goes_on = led[times], goes_on[times]
-    otherwise = np.where(goes_on, STEP_REWARD, leave_reward)
-    return times, np.where(reached[led], SUBGOAL_REWARD, otherwise), ~goes_on
+def _contained(region: Region, features: FloatArray) -> BoolArray:
+    """Return whether the region contains each place, (n,), with `AT_ONCE` places a call."""
+    parts = range(0, max(len(features), 1), AT_ONCE)
+    return np.concatenate([region.contains(features[begin : begin + AT_ONCE]) for begin in parts])
