@@ -60,15 +60,17 @@ class VecGridWorld(VecEnv):
         reached = self._states == self._goal
         dones = reached | (self._elapsed == self._max_steps)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for env in np.flatnonzero(dones).tolist():
+        ended = np.flatnonzero(dones)
+        for env in ended.tolist():
             infos[env] = {
                 "terminal_observation": self._rows[self._states[env]],
                 "TimeLimit.truncated": not reached[env],
                 "is_success": bool(reached[env]),
                 "episode": {"r": float(reached[env]), "l": int(self._elapsed[env]), "t": 0.0},
             }
-        self._elapsed[dones] = 0
-        self._states = np.where(dones, self._random.choice(self._starts, self.num_envs), self._states)
+        if len(ended):
+            self._elapsed[ended] = 0
+            self._states[ended] = self._random.choice(self._starts, len(ended))
         return self._rows[self._states], reached.astype(np.float32), dones, infos
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:

@@ -114,6 +114,7 @@ class OptionsVecEnv(VecEnvWrapper):
         if options_file is not None:
             self.bank.load(options_file)
         self._n_actions = self.n_primitive + max_options
+        self._possible = frozenset(range(self._n_actions))
         super().__init__(venv, action_space=spaces.Discrete(self._n_actions))
         self.slot_state = SlotState()
         self._observations: Any = None  # of the environments
@@ -171,16 +172,17 @@ class OptionsVecEnv(VecEnvWrapper):
     def action_masks(self) -> BoolArray:
         """Which actions may be chosen now, (n_envs, n_primitive + max_options); where an option runs, it alone."""
         masks = np.ones((self.num_envs, self._n_actions), dtype=bool)
-        masks[:, self.n_primitive :] = self.bank.available_slots(self._observations) & self._may_run()
+        masks[:, self.n_primitive :] = self._available_slots(self._observations)
         if self._running:
             envs, slots = list(self._running), [run.slot for _, run in self._running.values()]
             masks[envs] = False
             masks[envs, self.n_primitive + np.array(slots)] = True
         return masks
 
-    def _may_run(self) -> BoolArray:
-        """Which slots have not run ``max_runs`` times, (n_envs, max_options)."""
-        return np.ones(self._runs.shape, dtype=bool) if self.max_runs is None else self._runs < self.max_runs
+    def _available_slots(self, observations: Observations) -> BoolArray:
+        """Which slots may start and have not run ``max_runs`` times, (n_envs, max_options)."""
+        available = self.bank.available_slots(observations)
+        return available if self.max_runs is None else available & (self._runs < self.max_runs)
 
     def reset(self) -> Any:
         """Begin an episode in every environment; no option runs."""
@@ -207,14 +209,14 @@ class OptionsVecEnv(VecEnvWrapper):
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Begin one primitive step everywhere: a chosen one, or that of an option which begins or goes on."""
         actions = np.asarray(actions, dtype=np.int64).reshape(self.num_envs)
-        if actions.min() < 0 or actions.max() >= self._n_actions:
+        if not set(actions.tolist()) <= self._possible:
             raise ValueError(f"actions must be between 0 and {self._n_actions - 1}, got {actions}.")
         slots = actions - self.n_primitive
         slots[list(self._running)] = -1
         self._instead = slots >= 0
         chosen = set(slots[self._instead].tolist())
         for slot in filter(chosen.__contains__, self.bank.filled):
-            self._start(slot, np.flatnonzero((slots == slot) & self._may_run()[:, slot]))
+            self._start(slot, np.flatnonzero(slots == slot))
         self._actions = np.where(self._instead, slots % self.n_primitive, actions) if chosen else actions.copy()
         self._groups = self._by_option()
         for option, envs in self._groups:
@@ -223,6 +225,8 @@ class OptionsVecEnv(VecEnvWrapper):
 
     def _start(self, slot: int, envs: IntArray) -> None:
         option = self.bank[slot]
+        if self.max_runs is not None:
+            envs = envs[self._runs[envs, slot] < self.max_runs]
         if option is None or not len(envs):
             return
         self._instead[envs] = False
@@ -244,10 +248,9 @@ class OptionsVecEnv(VecEnvWrapper):
         observations: Any
         observations, given, dones, infos = self.venv.step_wait()
         # Copies, because an environment may hand out one and the same dictionary every time.
-        infos = [{"option": self._primitive, **info} for info in infos]
-        for info in infos:
-            if info["option"] is not self._primitive:
-                refuse_own(info, "option")
+        for info in filter(None, infos):
+            refuse_own(info, "option")
+        infos = [{**info, "option": self._primitive} for info in infos]
         ended: list[int] = np.flatnonzero(dones).tolist()
         led = observations
         if ended:
@@ -274,8 +277,10 @@ class OptionsVecEnv(VecEnvWrapper):
     ) -> dict[int, Termination]:
         """Add the present step to the options that run, and return why they ended, by environment, where they did."""
         endings: dict[int, Termination] = {}
-        for env, (_, run) in self._running.items():
-            run.add(int(self._actions[env]), rewards[env], take(led, env))
+        envs = list(self._running)
+        steps = zip(envs, self._actions[envs].tolist(), rewards[envs].tolist(), singles(take(led, envs)), strict=True)
+        for env, action, reward, observation in steps:
+            self._running[env][1].add(action, reward, observation)
             if dones[env]:
                 endings[env] = _end_of_episode(infos[env])
         for option, running in self._groups:
@@ -297,7 +302,7 @@ class OptionsVecEnv(VecEnvWrapper):
         for env in np.flatnonzero(self._instead).tolist() if self._instead.any() else ():
             infos[env]["option"] = RunInfo(self._primitive, actions=self._actions[env : env + 1].copy())
         reports = self.slot_state.report_availability and bool(self.bank.filled)
-        arrived = self.bank.available_slots(led) & self._may_run() if reports else None
+        arrived = self._available_slots(led) if reports else None
         for row, info in zip(arrived if arrived is not None else (), infos, strict=False):
             info["option"] = RunInfo(info["option"], available=row[None])
         for env, (_, run) in self._running.items():

@@ -18,7 +18,7 @@ from sb3_options.options.policies import OptionPolicy, PolicyInput
 from sb3_options.state import storable
 
 CACHE_BYTES = 4 << 20  # memory of each cache of a `SubgoalOption`, observations included; approximate
-CACHE_ENTRY_BYTES = 400  # memory of one cached result besides its numbers and its observation; measured, rounded up
+CACHE_ENTRY_BYTES = 200  # memory of one cached result besides its numbers and its observation; measured, rounded up
 CACHE_BATCH = 128  # largest batch that is looked up: a larger one is computed as quickly
 
 Result = TypeVar("Result", bound=np.generic)
@@ -34,7 +34,9 @@ class KnownResults(Generic[Result]):
     """
 
     def __init__(self) -> None:
-        self._results: dict[bytes, npt.NDArray[Result]] = {}
+        self._rows: dict[bytes, int] = {}
+        self._results: npt.NDArray[Result]  # one in each row, with room for later ones
+        self._n = 0  # rows in use
         self._bytes = 0
         self._hits = 0
         self._gave_up = False
@@ -50,35 +52,46 @@ class KnownResults(Generic[Result]):
         if n > 1:
             return self._of_batch(compute, observations)
         key = obs_batch.key_of(observations) if array is None else array.tobytes()
-        result = self._results.get(key)
-        if result is None:
-            result = compute(observations)
-            self._keep(key, result)
-        else:
+        row = self._rows.get(key)
+        if row is not None:
             self._hits += 1
+            return self._results[row : row + 1]
+        result = compute(observations)
+        self._keep([key], result)
         return result
 
     def _of_batch(
         self, compute: Callable[[Observations], npt.NDArray[Result]], observations: Observations
     ) -> npt.NDArray[Result]:
         keys = obs_batch.keys_of(observations)
-        results: list[Any] = list(map(self._results.get, keys))
-        new = [i for i, result in enumerate(results) if result is None]
-        self._hits += len(keys) - len(new)
-        if new:
-            computed = compute(observations if len(new) == len(keys) else obs_batch.take(observations, np.array(new)))
-            for place, i in enumerate(new):
-                results[i] = computed[place : place + 1]
-                self._keep(keys[i], results[i])
-        return np.concatenate(results)
+        rows: list[Any] = list(map(self._rows.get, keys))
+        if None not in rows:
+            self._hits += len(rows)
+            return self._results[rows]
+        new = [i for i, row in enumerate(rows) if row is None]
+        self._hits += len(rows) - len(new)
+        if len(new) == len(rows):
+            results = compute(observations)
+        else:
+            results = self._results[[row or 0 for row in rows]]
+            results[new] = compute(obs_batch.take(observations, np.array(new)))
+        self._keep([keys[i] for i in new], results[new])
+        return results
 
-    def _keep(self, key: bytes, result: npt.NDArray[Result]) -> None:
+    def _keep(self, keys: list[bytes], results: npt.NDArray[Result]) -> None:
         if self._bytes > CACHE_BYTES:
-            self._gave_up = self._hits < len(self._results)
-            self._results.clear()
-            self._bytes = self._hits = 0
-        self._results[key] = result
-        self._bytes += len(key) + result.nbytes + CACHE_ENTRY_BYTES
+            self._gave_up = self._hits < len(self._rows)
+            self._rows = {}
+            self._n = self._bytes = self._hits = 0
+        begin, self._n = self._n, self._n + len(keys)
+        if begin == 0:
+            self._results = results[:0]
+        if self._n > len(self._results):
+            room = np.empty((self._n, *results.shape[1:]), dtype=results.dtype)
+            self._results = np.concatenate([self._results[:begin], room])
+        self._results[begin : self._n] = results
+        self._rows.update(zip(keys, range(begin, self._n), strict=True))
+        self._bytes += sum(map(len, keys)) + results.nbytes + CACHE_ENTRY_BYTES * len(keys)
 
 
 class KnownFeatures:

@@ -80,7 +80,7 @@ class TestSubgoalOption:
                 assert inside == together.initiation(self.observations)[i]
                 inside[:] = ~inside  # what a caller does with an answer changes no later one
         assert asked == [1] * len(self.observations)
-        assert pickle.loads(pickle.dumps(option))._membership._results == {}
+        assert pickle.loads(pickle.dumps(option))._membership._rows == {}
 
     def test_environments_share_what_is_known_of_a_place(self, monkeypatch: pytest.MonkeyPatch) -> None:
         asked: list[Region] = []
@@ -103,7 +103,7 @@ class TestSubgoalOption:
         option = subgoal_option(feature_map=flat)
         for place in np.linspace(0.0, 5.0, 1000):
             assert option.termination(np.array([[place]])) == (2.5 <= place <= 3.5)
-            assert len(option._membership._results) <= 14
+            assert len(option._membership._rows) <= 14
 
     def test_without_a_feature_map(self) -> None:
         option = subgoal_option(name="door")
