@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sb3_options.checkpoints.demonstrations import load_demonstrations, save_demonstrations
     from sb3_options.density.diverse_density import DiverseDensity
+    from sb3_options.density.proposed import propose_groups
     from sb3_options.execution.concepts import ConceptsInObservation, WithoutConcepts
     from sb3_options.execution.demonstrations import record_demonstrations
     from sb3_options.execution.options_vec_env import OptionsVecEnv
@@ -41,6 +42,7 @@ __all__ = [
     "load_model",
     "load_options",
     "logged_trajectory",
+    "propose_groups",
     "record_demonstrations",
     "save_demonstrations",
 ]
@@ -49,6 +51,7 @@ _MODULES = {
     "load_demonstrations": "sb3_options.checkpoints.demonstrations",
     "save_demonstrations": "sb3_options.checkpoints.demonstrations",
     "DiverseDensity": "sb3_options.density.diverse_density",
+    "propose_groups": "sb3_options.density.proposed",
     "ConceptsInObservation": "sb3_options.execution.concepts",
     "WithoutConcepts": "sb3_options.execution.concepts",
     "record_demonstrations": "sb3_options.execution.demonstrations",

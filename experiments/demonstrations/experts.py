@@ -38,7 +38,11 @@ def expert_of(env: gym.Env[Any, Any], noise: float = 0.0, seed: int = 0) -> Call
         else:
             if game.step_count == 0:
                 bot, last = BabyAIBot(game), None  # type: ignore[no-untyped-call]
-            last = bot.replan(last)
+            try:
+                last = bot.replan(last)
+            except AssertionError:  # random actions have blocked its way: another one, and think anew
+                bot, last = BabyAIBot(game), None  # type: ignore[no-untyped-call]
+                return int(random.integers(len(game.actions)))
         if random.random() < noise:
             last = game.actions(random.integers(len(game.actions)))
         return int(last)

@@ -25,6 +25,8 @@ from sb3_options.callbacks import (
     PrimitiveStepsCallback,
     SubgoalDiscoveryCallback,
 )
+from sb3_options.density.groups import FeatureGroup
+from sb3_options.density.proposed import propose_groups
 
 Judged = Literal["sampled", "greedy", "uniform"]
 JUDGED: tuple[Judged, ...] = get_args(Judged)
@@ -85,6 +87,8 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
     how["with_features"] = arm in settings.WITH_FEATURES
     stages = stages_of(family, arm)
     before: VecEnv | None = None
+    groups: Sequence[FeatureGroup] | None = None
+    walked = 0
     with tempfile.TemporaryDirectory() as folder:
         for number, stage in enumerate(stages):
             is_last = number == len(stages) - 1
@@ -105,13 +109,15 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             learned_at, least = (protocol.until, longest) if is_last else (protocol.learned, 0)
             notes = Notes(n_envs - n_rehearsed, learned_at, least)
             rollouts = settings.primitive_rollouts(stage)
-            callbacks = _callbacks(arm, seed, number, is_last=is_last, primitive_rollouts=rollouts)
             began, worked = time.perf_counter(), time.process_time()
+            if number == 0 and arm in settings.PROPOSED:
+                groups, walked = _proposed(venv, env_seed)
+            callbacks = _callbacks(arm, seed, number, groups, is_last=is_last, primitive_rollouts=rollouts)
             model.learn(stage.frames, callback=[*callbacks, notes])
             taken = {"seconds": time.perf_counter() - began, "processor_seconds": time.process_time() - worked}
             runs = {name: dict(ends) for name, ends in notes.runs.items()}
             result["stages"].append({"curve": notes.curve, "option_runs": runs, **taken})
-            result["stages"][-1]["frames"] = model.num_timesteps
+            result["stages"][-1]["frames"] = model.num_timesteps + (0 if number else walked)
             for found in callbacks:
                 if isinstance(found, SubgoalDiscoveryCallback):
                     result["options"] += [_about(found, discovery, number) for discovery in found.discoveries]
@@ -136,7 +142,22 @@ def _by_hand(arm: Arm) -> MadeBy | None:
     return options_on if arm == "hand-made" else None
 
 
-def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_rollouts: bool) -> list[BaseCallback]:
+def _proposed(venv: VecEnv, seed: int) -> tuple[Sequence[FeatureGroup], int]:
+    """Groups of features proposed from random walks, and the primitive steps of these."""
+    walks = venv.env_method("random_trajectories", settings.WALKS, settings.LONGEST_WALK, seed, indices=[0])[0]
+    features = [venv.env_method("concept_features", each.states, indices=[0])[0][each.visits] for each in walks]
+    return propose_groups(features, venv.get_attr("feature_names", [0])[0]), sum(map(len, walks))
+
+
+def _callbacks(
+    arm: Arm,
+    seed: int,
+    stage: int,
+    groups: Sequence[FeatureGroup] | None,
+    *,
+    is_last: bool,
+    primitive_rollouts: bool,
+) -> list[BaseCallback]:
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
         is_drawn = arm in (*settings.RANDOM, *settings.CONTRASTING)
@@ -146,6 +167,7 @@ def _callbacks(arm: Arm, seed: int, stage: int, *, is_last: bool, primitive_roll
             settings.options_of(stage),
             method=drawn,
             max_new_options=0 if is_last and stage else None,
+            concepts={"groups": groups},
             use={"max_option_exploration": settings.OPENING_SHARE, "primitive_rollouts": primitive_rollouts},
         )
         callbacks.append(discovery)

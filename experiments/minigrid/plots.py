@@ -17,7 +17,7 @@ COLOURS = color_sequences["tab20"]
 
 def draw(family: str, results: Mapping[str, Sequence[Result]]) -> Figure:
     """Training success by frames of all stages, a line a seed."""
-    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    figure = Figure(figsize=(7.2, max(3.6, 0.18 * len(results))), layout="constrained")
     axes = figure.subplots()
     as_planned = all("frames" not in stage for runs in results.values() for run in runs for stage in run["stages"])
     for number, (name, runs) in enumerate(results.items()):

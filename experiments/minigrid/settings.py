@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple, get_args
 Arm = Literal[
     "discovered", "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
     "discovered with φ, RND at first", "discovered with φ, RND before the last",
+    "proposed groups, RND at first", "proposed groups, RND before the last",
     "random subgoals", "random subgoals, RND at first", "random subgoals, RND before the last",
     "contrasting subgoals", "contrasting subgoals, RND at first", "contrasting subgoals, RND before the last",
     "hand-made", "hand-made subgoals", "hand-made subgoals, 3 cells", "hand-made subgoals, 2 cells",
@@ -19,14 +20,17 @@ ARMS: tuple[Arm, ...] = get_args(Arm)
 weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus
 for what is new in each task. ``with φ``: the agent sees φ beside the observation. ``discovered``: with options that
 are discovered in the stages before the last, and kept; ``discovered, RND``: with the bonus. ``RND at first``: with
-the bonus in the first task alone; ``RND before the last``: in all but the last. ``random subgoals``: as
+the bonus in the first task alone; ``RND before the last``: in all but the last. ``proposed groups``: as
+``discovered``, but groups of features are proposed from random walks in the first task. ``random subgoals``: as
 ``discovered``, but subgoals are drawn, not found; ``contrasting subgoals``: drawn from what successes visit oftener
 than failures. ``hand-made``: options by hand from the first step on, the bound. ``hand-made subgoals``: by hand, to
 the subgoals that discovery finds in rooms, from wherever they are in view, or from so many cells away."""
 
 RANDOM: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("random"))
 CONTRASTING: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("contrasting"))
-DISCOVERING: tuple[Arm, ...] = (*(arm for arm in ARMS if arm.startswith("discovered")), *RANDOM, *CONTRASTING)
+PROPOSED: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("proposed"))
+DISCOVERED: tuple[Arm, ...] = (*(arm for arm in ARMS if arm.startswith("discovered")), *PROPOSED)
+DISCOVERING: tuple[Arm, ...] = (*DISCOVERED, *RANDOM, *CONTRASTING)
 HAND_MADE: dict[Arm, int | None] = {
     "hand-made subgoals": None, "hand-made subgoals, 3 cells": 3, "hand-made subgoals, 2 cells": 2,
 }  # fmt: skip
@@ -135,6 +139,10 @@ RND_WEIGHT = 0.1
 """Of the bonus for what is new, the default of `IntrinsicRewardCallback`."""
 
 
+WALKS, LONGEST_WALK = 40, 400
+"""Random walks in the first task from which groups are proposed, and primitive steps of each at most."""
+
+
 def max_options(family: str) -> int:
     """Slots for options: as many as the family has use for by hand."""
     return {"DoorKey": 6, "LockedRoom": 6, "KeyCorridor": 8}.get(family.split("-")[0], 5)
@@ -184,6 +192,8 @@ def of(arm: Arm, family: str) -> dict[str, Any]:
         special |= {"discovery": DISCOVERY, "opening_share": OPENING_SHARE}
         special |= {"options": options_of(0), "growing_stages": GROWING_STAGES}
         special |= {"discovers_in": "all stages but the last"}
+    if arm in PROPOSED:
+        special |= {"groups": "proposed", "walks": WALKS, "longest_walk": LONGEST_WALK}
     if arm in (*RANDOM, *CONTRASTING):
         special |= {"subgoals": "drawn" if arm in RANDOM else "drawn from what contrasts"}
     if arm in WITH_FEATURES:

@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.common.seeds import Result
 from experiments.minigrid.conditions import stages_of
-from experiments.minigrid.settings import CONTRASTING, DISCOVERING, RANDOM, REACHED, Arm
+from experiments.minigrid.settings import DISCOVERED, REACHED, Arm
 from sb3_options.runs.intervals import mean_interval
 
 Summary = dict[str, dict[str, Any]]
@@ -78,7 +78,7 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
         }
         if "uniform" in runs[0]["success"]:
             summary["uniform"][name] = _mean([run["success"]["uniform"] for run in runs])
-    found = [arm for arm in DISCOVERING if arm not in (*RANDOM, *CONTRASTING)]
+    found = list(DISCOVERED)
     runs = [run for arm in found for run in results.get(arm, ())]
     summary["options"], summary["reach"] = _options(runs), reach(runs)
     return summary

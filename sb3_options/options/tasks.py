@@ -12,7 +12,7 @@ from sb3_options.density.arrays import distinct_rows, row_keys
 from sb3_options.density.regions import Region
 from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
-from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.settings import OptionLearningSettings
 
 STEP_REWARD, SUBGOAL_REWARD = -1.0, 0.0
