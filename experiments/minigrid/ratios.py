@@ -85,7 +85,8 @@ FRESH = {
 of their rivals, which end in -fresh."""
 
 FEATURES = {"four rooms": "four-rooms", "six rooms": "six-rooms", "key corridors": "key-corridor"}
-"""Tasks where agents see φ beside the observation, and the files of these agents, which end in -features."""
+"""Tasks where agents see φ beside the observation, or options have proposed groups, and the files of these agents,
+which end in -features and -proposed."""
 
 REACHING = {
     **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},
@@ -141,7 +142,8 @@ def main(of: Ratios) -> None:
         "capped": capped_table,
         "ratios": table,
         "fresh": fresh_table,
-        "features": features_table,
+        "features": lambda results: paired_table(results, "features", "discovered, "),
+        "proposed": lambda results: paired_table(results, "proposed", "proposed"),
         "reach": reach_table,
     }
     fill(of.document, {name: draw_up(of.results) for name, draw_up in parts.items()})
@@ -226,18 +228,19 @@ def fresh_table(results: Path) -> str:
     return "\n".join(rows)
 
 
-def features_table(results: Path) -> str:
-    """Frames of agents with options, as a share of those of agents that see φ, of equal seeds."""
+def paired_table(results: Path, ending: str, whose: str) -> str:
+    """Frames of the agent whose name so begins, as a share of those of other agents, of equal seeds."""
+    what = "options" if ending == "features" else "proposed groups"
     rows = [
-        "| | runs of 8 that arrive | frames | frames with options, of these | processor seconds |",
+        f"| | runs of 8 that arrive | frames | frames with {what}, of these | processor seconds |",
         "|---" * 5 + "|",
     ]
     for task, file in FEATURES.items():
-        arms = _summary_of(results, f"{file}-features")["arms"]
+        arms = _summary_of(results, f"{file}-{ending}")["arms"]
         frames = {
-            arm: np.minimum(frames_of(results, Of(f"{file}-features", arm)), FRAMES[task]) for arm in sorted(arms)
+            arm: np.minimum(frames_of(results, Of(f"{file}-{ending}", arm)), FRAMES[task]) for arm in sorted(arms)
         }
-        ours = frames[next(arm for arm in arms if arm.startswith("discovered, "))]
+        ours = frames[next(arm for arm in arms if arm.startswith(whose))]
         for arm, of in frames.items():
             arrived = int((of < FRAMES[task]).sum())
             share = "" if of is ours else "{:.2f} ({:.2f} to {:.2f})".format(*iqm_ratio(ours, of, paired=True))

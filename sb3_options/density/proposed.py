@@ -65,7 +65,7 @@ def propose_groups(trajectories: Sequence[FloatArray], names: Sequence[str] = ()
         there = [[*concept, *before]] if before else [[thing] for thing in concept]
         located = [i for thing in (*concept, *before) for i in coordinates[thing]]
         seen = FeatureGroup(name, own + others, there, units[own + others].tolist(), coordinates=located)
-        labels = ["" if i in coordinates and len(own) > 1 else names[i] for i in own]
+        labels = ["" if i in coordinates else names[i] for i in own]
         return FeatureGroup(name, own, [[thing] for thing in concept], units[own].tolist(), seen, labels=labels)
 
     things = [thing for thing in coordinates if thing not in context]

@@ -51,7 +51,9 @@ def test_a_thing_without_coordinates_that_is_rare_is_a_concept() -> None:
     seldom = [walk for _ in range(10) for walk in walks()]
     for walk in seldom[2:]:
         walk[:, WALL] = 0.0
-    assert by_name(propose_groups(seldom, NAMES))["wall"].features == (WALL,)
+    wall = by_name(propose_groups(seldom, NAMES))["wall"]
+    assert wall.features == (WALL,)
+    assert wall.told(np.array([1.0])) == "wall"
 
 
 def test_without_things_there_are_no_groups() -> None:
