@@ -40,7 +40,10 @@ def expert_of(env: gym.Env[Any, Any], noise: float = 0.0, seed: int = 0) -> Call
                 bot, last = BabyAIBot(game), None  # type: ignore[no-untyped-call]
             try:
                 last = bot.replan(last)
-            except AssertionError:  # random actions have blocked its way: another one, and think anew
+            except AssertionError:
+                if not noise:
+                    raise
+                # Random actions have blocked its way: another one, and think anew.
                 bot, last = BabyAIBot(game), None  # type: ignore[no-untyped-call]
                 return int(random.integers(len(game.actions)))
         if random.random() < noise:

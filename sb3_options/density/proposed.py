@@ -18,6 +18,9 @@ CONTEXT = 0.9
 """A thing without coordinates is context if it occurs in this share of the trajectories. An occurrence in every episode
 is no bottleneck, but a policy may need to see it: a wall ahead, for instance."""
 
+ROUNDING = 1e-9
+"""Changes smaller than this share of a feature's largest value are rounding errors."""
+
 REPLACED = 0.25
 """A thing takes the place of another if the other disappears in this share of its appearances."""
 
@@ -27,8 +30,8 @@ def propose_groups(trajectories: Sequence[FloatArray], names: Sequence[str] = ()
 
     A feature that is 0 or one other number says whether a thing is present. Features with more values that are 0
     whenever the thing is absent are its coordinates. Each thing makes a group, and so do two located things that occur
-    together. An option also sees the things that occur everywhere. For a single thing it sees the one whose place the
-    thing most often takes: a closed door, if the thing is an open one.
+    together. An option also sees the things that occur in nearly all trajectories. An option to one thing also sees the
+    thing that it most often replaces: a closed door, if it is an open one.
 
     Args:
         trajectories: φ of the observations of each trajectory in order of time, such as random walks, (T + 1, d) each.
@@ -46,7 +49,7 @@ def propose_groups(trajectories: Sequence[FloatArray], names: Sequence[str] = ()
         raise ValueError("trajectories must hold at least one array of features (T + 1, d), d equal in all")
     features = np.concatenate(walks)
     check_finite("trajectories", features)
-    names = names or [f"feature {i}" for i in range(features.shape[1])]
+    names = list(names) or [f"feature {i}" for i in range(features.shape[1])]
     if len(names) != features.shape[1]:
         raise ValueError(f"names must name {features.shape[1]} features, got {len(names)}")
     coordinates = _coordinates(features)
@@ -97,8 +100,8 @@ def _units(walks: Sequence[FloatArray], features: FloatArray) -> FloatArray:
     for i, (value, change) in enumerate(zip(values, changes.T, strict=True)):
         if len(np.unique(features[:, i])) == 2:
             units[i] = PRESENT_SCALE / value
-        elif change.any():
-            units[i] = 1 / np.quantile(change[change > 0], 0.25)
+        elif (moves := change > ROUNDING * value).any():
+            units[i] = 1 / np.quantile(change[moves], 0.25)
     return units
 
 

@@ -35,9 +35,9 @@ class KnownResults(Generic[Result]):
 
     def __init__(self) -> None:
         self._rows: dict[bytes, int] = {}
-        self._results: npt.NDArray[Result]  # one in each row, with room for later ones
+        self._results: npt.NDArray[Any] = np.empty(0)  # one in each row, with room for later ones
         self._n = 0  # rows in use
-        self._bytes = 0
+        self._bytes = 0  # without the results
         self._hits = 0
         self._gave_up = False
 
@@ -79,7 +79,7 @@ class KnownResults(Generic[Result]):
         return results
 
     def _keep(self, keys: list[bytes], results: npt.NDArray[Result]) -> None:
-        if self._bytes > CACHE_BYTES:
+        if self._bytes + self._results.nbytes > CACHE_BYTES:
             self._gave_up = self._hits < len(self._rows)
             self._rows = {}
             self._n = self._bytes = self._hits = 0
@@ -87,11 +87,12 @@ class KnownResults(Generic[Result]):
         if begin == 0:
             self._results = results[:0]
         if self._n > len(self._results):
-            room = np.empty((self._n, *results.shape[1:]), dtype=results.dtype)
-            self._results = np.concatenate([self._results[:begin], room])
+            grown = np.empty((self._n + self._n // 4, *results.shape[1:]), dtype=results.dtype)
+            grown[:begin] = self._results[:begin]
+            self._results = grown
         self._results[begin : self._n] = results
         self._rows.update(zip(keys, range(begin, self._n), strict=True))
-        self._bytes += sum(map(len, keys)) + results.nbytes + CACHE_ENTRY_BYTES * len(keys)
+        self._bytes += sum(map(len, keys)) + CACHE_ENTRY_BYTES * len(keys)
 
 
 class KnownFeatures:
@@ -113,7 +114,13 @@ class KnownFeatures:
         return self._known(self._computed, observations)
 
     def _computed(self, observations: Observations) -> FloatArray:
-        return np.array(self.of(observations), dtype=np.float64)  # a copy: φ may return a view of the observations
+        features = np.array(self.of(observations), dtype=np.float64)  # a copy: φ may return a view of the observations
+        n = obs_batch.batch_size(observations)
+        if features.ndim != 2 or len(features) != n:
+            raise ValueError(
+                f"feature_map must return a row of features for each observation, shape ({n}, d), got {features.shape}"
+            )
+        return features
 
 
 class Option:

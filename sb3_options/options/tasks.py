@@ -108,17 +108,24 @@ def transitions_to(
     rewards = np.where(reached[led], SUBGOAL_REWARD, np.where(goes_on, STEP_REWARD, settings.leave_reward))
     used = np.zeros(len(features), dtype=bool)
     used[began] = used[led] = True
-    if settings.policy_input == "features":
-        seen: Observations = initiation.own(features[used])
-    else:
+    which = np.flatnonzero(used)
+    seen: Iterable[Observations] = [initiation.own(features[which])]
+    if settings.policy_input != "features":  # trajectory by trajectory: images of all would take much memory
         parts = np.split(used, np.cumsum([len(each.features) for each in trajectories[:-1]]))
         pairs = zip(trajectories, parts, strict=True)
-        seen = obs_batch.concatenate([obs_batch.take(each.trajectory.states, np.flatnonzero(of)) for each, of in pairs])
+        seen = (obs_batch.take(each.trajectory.states, np.flatnonzero(of)) for each, of in pairs)
     row_of: dict[bytes, int] = {}
+    rows: list[int] = []
+    states: list[Observations] = []
+    for part in seen:
+        last = len(row_of) - 1
+        its_rows = [row_of.setdefault(key, len(row_of)) for key in value_keys(part)]
+        newest = np.maximum.accumulate([last, *its_rows])
+        states.append(obs_batch.take(part, np.flatnonzero(np.diff(newest))))
+        rows += its_rows
     row = np.zeros(len(features), dtype=np.int64)
-    row[used] = [row_of.setdefault(key, len(row_of)) for key in value_keys(seen)]
-    new = np.diff(np.maximum.accumulate(row[used]), prepend=-1) > 0
-    return Transitions(obs_batch.take(seen, np.flatnonzero(new)), row[began], actions, rewards, row[led], ~goes_on)
+    row[which] = rows
+    return Transitions(obs_batch.concatenate(states), row[began], actions, rewards, row[led], ~goes_on)
 
 
 def _joined_visits(trajectories: Sequence[LabelledTrajectory]) -> tuple[IntArray, IntArray]:

@@ -60,7 +60,15 @@ def test_without_things_there_are_no_groups() -> None:
     assert propose_groups([np.linspace(0, 1, 10)[:, None], np.ones((3, 1))]) == ()
 
 
-def test_the_proposal_in_minigrid_is_what_people_made() -> None:
+def test_rounding_is_no_change() -> None:
+    walk = np.zeros((8, 2))
+    walk[1:7, 0], walk[1:7, 1] = 1.0, [0.1, 0.3, 0.1 + 0.2, 0.3, 0.5, 0.4]
+    (group,) = propose_groups([walk])
+    assert group.scale is not None
+    assert group.scale[1] < 20
+
+
+def test_the_proposal_for_things_in_minigrid_equals_its_groups() -> None:
     env = OptionsWrapper(make("MiniGrid-MultiRoom-N2-S4-v0", asked=False))
     features = [env.concept_features(walk.states)[walk.visits] for walk in env.random_trajectories(40, 400, 0)]
     proposed = by_name(propose_groups(features, feature_names()))

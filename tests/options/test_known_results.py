@@ -68,6 +68,21 @@ def test_observations_that_seldom_repeat_are_cached_no_longer(
 
 
 @pytest.mark.parametrize("n", [1, 2])
+def test_features_are_refused_unless_each_observation_has_a_row(n: int) -> None:
+    known = KnownFeatures(lambda observations: flatten(observations)[:1, :, None])
+    with pytest.raises(ValueError, match=rf"feature_map must return a row .* shape \({n}, d\)"):
+        known(np.zeros((n, 1)))
+
+
+def test_memory_includes_room_for_later_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(option, "CACHE_BYTES", 1_000_000)
+    known: KnownResults[np.float64] = KnownResults()
+    for number in range(2_000):
+        known(lambda observations: np.zeros((len(observations), 100)), np.array([[float(number)]]))
+        assert known._results.nbytes <= 1_300_000
+
+
+@pytest.mark.parametrize("n", [1, 2])
 def test_features_stay_when_an_environment_writes_into_its_last_observation(n: int) -> None:
     known = KnownFeatures(flatten)  # a view of numbers of 64 bits
     first = np.arange(n, dtype=np.float64)[:, None]
