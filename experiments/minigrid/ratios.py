@@ -228,8 +228,8 @@ def fresh_table(results: Path) -> str:
     return "\n".join(rows)
 
 
-def paired_table(results: Path, ending: str, whose: str) -> str:
-    """Frames of the agent whose name so begins, as a share of those of other agents, of equal seeds."""
+def paired_table(results: Path, ending: str, prefix: str) -> str:
+    """Frames of the agent whose name has the prefix, as a share of those of other agents, of equal seeds."""
     what = "options" if ending == "features" else "proposed groups"
     rows = [
         f"| | runs of 8 that arrive | frames | frames with {what}, of these | processor seconds |",
@@ -240,7 +240,7 @@ def paired_table(results: Path, ending: str, whose: str) -> str:
         frames = {
             arm: np.minimum(frames_of(results, Of(f"{file}-{ending}", arm)), FRAMES[task]) for arm in sorted(arms)
         }
-        ours = frames[next(arm for arm in arms if arm.startswith(whose))]
+        ours = frames[next(arm for arm in arms if arm.startswith(prefix))]
         for arm, of in frames.items():
             arrived = int((of < FRAMES[task]).sum())
             share = "" if of is ours else "{:.2f} ({:.2f} to {:.2f})".format(*iqm_ratio(ours, of, paired=True))

@@ -78,8 +78,7 @@ def summarise(family: str, results: Mapping[str, Sequence[Result]]) -> Summary:
         }
         if "uniform" in runs[0]["success"]:
             summary["uniform"][name] = _mean([run["success"]["uniform"] for run in runs])
-    found = list(DISCOVERED)
-    runs = [run for arm in found for run in results.get(arm, ())]
+    runs = [run for arm in DISCOVERED for run in results.get(arm, ())]
     summary["options"], summary["reach"] = _options(runs), reach(runs)
     return summary
 
