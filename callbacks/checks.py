@@ -64,7 +64,7 @@ def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
     """Refuse a model or environments in which options would spoil learning."""
     check_wrapped(venv, "The model's environment")
     family = family_of(model)
-    family.prepare_buffer()
+    family.prepare()
     banks = venv.get_attr("bank")
     if banks[0].max_options:
         family.check(venv)

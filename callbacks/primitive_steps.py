@@ -101,7 +101,7 @@ class PrimitiveStepsCallback(BaseCallback):
     def _on_training_start(self) -> None:
         self._installer = None
         check_every_step(self)
-        family_of(self.model).prepare_buffer()
+        family_of(self.model).prepare()
         self._start_counting()
         if not any(self.training_env.env_is_wrapped(OptionsWrapper)):
             return  # a custom SMDP environment; its infos are checked in _on_step

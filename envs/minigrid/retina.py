@@ -52,18 +52,23 @@ PAIRS = (("key", "locked_door"), ("key", "closed_door"), ("ball", "open_door"), 
 _NOTHING = N_KINDS
 
 
+WORTH = 256
+"""Factor of the object in a cell's code: its object times this, plus its state."""
+
+
 def _kinds() -> npt.NDArray[np.int8]:
-    """Return the kind of a cell by its object and state."""
-    kinds = np.full((256, 256), _NOTHING, dtype=np.int8)
+    """Return the kind of a cell by its code."""
+    kinds = np.full((256, WORTH), _NOTHING, dtype=np.int8)
     for state, kind in ((CLOSED, "closed_door"), (OPEN, "open_door"), (LOCKED, "locked_door")):
         kinds[DOOR, state] = KINDS.index(kind)
     for thing, kind in ((KEY, "key"), (BALL, "ball"), (BOX, "box"), (GOAL, "goal"), (LAVA, "lava")):
         kinds[thing] = KINDS.index(kind)
-    return kinds
+    return kinds.ravel()
 
 
 _KIND_OF = _kinds()
-_WALKABLE = np.isin(np.arange(256), (*FREE, GOAL))
+_IS_WALL = np.repeat(np.arange(256) == WALL, WORTH)
+_IS_FREE = np.repeat(np.isin(np.arange(256), (*FREE, GOAL)), WORTH) | (KINDS.index("open_door") == _KIND_OF)
 _COLOURED = np.isin(np.arange(256), COLOURED)
 
 
@@ -84,27 +89,41 @@ def retina(
     if images.ndim != 4 or images.shape[1] != images.shape[2] or images.shape[3] != 3:
         raise ValueError(f"images must have shape (batch, v, v, 3), as MiniGrid's are, got {images.shape}")
     n, view = images.shape[:2]
+    objects, colours, states = images.reshape(n, view * view, 3).astype(np.intp).transpose(2, 0, 1)
+    match = None if asked is None else _asked(objects, colours, asked)
+    return retina_of_codes(objects * WORTH + states, view, match)
+
+
+def retina_of_codes(
+    codes: npt.NDArray[np.intp], view: int, match: npt.NDArray[np.bool_] | None = None
+) -> npt.NDArray[np.float64]:
+    """Return the `retina` of the codes of cells, (batch, v²).
+
+    Args:
+        codes: Of each cell in view, `WORTH` times its object plus its state, (batch, v²).
+        view: The width v of the view in cells.
+        match: Which cells hold the things that each mission names, (batch, k, v²).
+    """
+    n, n_cells = codes.shape
     sight = _sight(view)
-    cells = images.reshape(n, view * view, 3)
-    objects, colours, states = (cells[..., channel].astype(np.intp) for channel in range(3))
-    kind = _KIND_OF[objects, states]
-    nearest = np.full((n, N_KINDS + 1), view * view)
+    nearest = np.full((n, N_KINDS + 1), n_cells)
     # Of equal indices numpy assigns the last, so the farthest cells come first.
-    nearest[np.arange(n)[:, None], kind[:, sight.nearest_first[::-1]]] = np.arange(view * view)[::-1]
+    kind = _KIND_OF.take(codes.take(sight.farthest_first, axis=1))
+    nearest[np.arange(n)[:, None], kind] = sight.countdown
     nearest = nearest[:, :_NOTHING]
-    if asked is not None:
-        match = _asked(objects, colours, asked)[..., sight.nearest_first]
-        found = np.where(match.any(axis=2), match.argmax(axis=2), view * view)
+    if match is not None:
+        match = match[..., sight.farthest_first[::-1]]
+        found = np.where(match.any(axis=2), match.argmax(axis=2), n_cells)
         nearest = np.concatenate([nearest, found], axis=1)
-    things = sight.places[nearest].reshape(n, len(THING) * nearest.shape[1])
+    things = sight.places.take(nearest, axis=0).reshape(n, len(THING) * nearest.shape[1])
+    ahead, left, right = codes.take(sight.around, axis=1).T
     first = len(THING) * N_KINDS
     features = np.empty((n, things.shape[1] + len(AHEAD)))
     features[:, :first] = things[:, :first]
     features[:, first + len(AHEAD) :] = things[:, first:]
-    ahead = objects[:, sight.ahead]
-    features[:, first] = ahead == WALL
-    features[:, first + 1] = _WALKABLE[ahead] | (kind[:, sight.ahead] == KINDS.index("open_door"))
-    features[:, first + 2] = (objects[:, sight.left] == WALL) & (objects[:, sight.right] == WALL)
+    features[:, first] = _IS_WALL[ahead]
+    features[:, first + 1] = _IS_FREE[ahead]
+    features[:, first + 2] = _IS_WALL[left] & _IS_WALL[right]
     return features
 
 
@@ -112,18 +131,16 @@ class _Sight(NamedTuple):
     """The cells of a view.
 
     Attributes:
-        nearest_first: Cell indices by steps from the agent, ties column by column, (v²,).
-        places: Features of a thing in each cell, in this order, and of an absent one, (v² + 1, 3).
-        ahead: Index of the cell ahead.
-        left: Index of the cell to the left.
-        right: Index of the cell to the right.
+        farthest_first: Cell indices from the most steps from the agent to the fewest, ties from the last column, (v²,).
+        countdown: v² − 1, ..., 0: the number of each of these cells, counted from the nearest.
+        places: Features of a thing in the cell of each such number, and of an absent one, (v² + 1, 3).
+        around: Indices of the cells ahead, to the left and to the right.
     """
 
-    nearest_first: npt.NDArray[np.intp]
+    farthest_first: npt.NDArray[np.intp]
+    countdown: npt.NDArray[np.intp]
     places: npt.NDArray[np.float64]
-    ahead: int
-    left: int
-    right: int
+    around: npt.NDArray[np.intp]
 
 
 @lru_cache
@@ -133,10 +150,10 @@ def _sight(view: int) -> _Sight:
     columns, rows = np.divmod(np.arange(view * view), view)
     forward, lateral = last - rows, columns - middle
     order = np.argsort(forward + np.abs(lateral), kind="stable")
-    ahead, left, right = middle * view + last - 1, (middle - 1) * view + last, (middle + 1) * view + last
+    around = np.array([middle * view + last - 1, (middle - 1) * view + last, (middle + 1) * view + last])
     places = np.zeros((view * view + 1, len(THING)))
     places[:-1] = np.stack([np.ones(view * view), forward[order], lateral[order]], axis=1)
-    return _Sight(order, places, ahead, left, right)
+    return _Sight(order[::-1].copy(), np.arange(view * view)[::-1].copy(), places, around)
 
 
 def _asked(objects: npt.NDArray[Any], colours: npt.NDArray[Any], asked: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

@@ -14,7 +14,14 @@ from gymnasium.utils import RecordConstructorArgs
 from sb3_options.envs.minigrid.cells import COLOURS, DEPTH, OBJECTS, STATES
 from sb3_options.envs.minigrid.instructions import Instructions
 from sb3_options.envs.minigrid.missions import Missions, things_of
-from sb3_options.envs.minigrid.retina import MOST_ASKED, concept_groups, feature_names, retina
+from sb3_options.envs.minigrid.retina import (
+    MOST_ASKED,
+    WORTH,
+    concept_groups,
+    feature_names,
+    retina,
+    retina_of_codes,
+)
 from sb3_options.envs.minigrid.view import see_quickly
 
 OTHER_IMAGES = (
@@ -138,6 +145,9 @@ It is in floating point, because numpy multiplies integer matrices without BLAS,
 for _channel, _n, _first in ((0, OBJECTS, 0), (1, COLOURS, OBJECTS), (2, STATES, OBJECTS + COLOURS)):
     _WORTH[_first : _first + _n, _channel] = np.arange(_n)
 
+_CODE = _WORTH @ np.array([WORTH, 0, 1], dtype=np.float32)
+"""What each position adds to the code of a cell, for `retina_of_codes`."""
+
 
 def _images(cells: npt.NDArray[np.uint8], view: int) -> npt.NDArray[np.uint8]:
     """Return the images (batch, v, v, 3) of cells (batch, v·v·21)."""
@@ -146,7 +156,11 @@ def _images(cells: npt.NDArray[np.uint8], view: int) -> npt.NDArray[np.uint8]:
 
 def _features(cells: npt.NDArray[np.uint8], named: Sequence[bytes], view: int, size: int) -> npt.NDArray[np.float64]:
     """Return φ (batch, size) of cells (batch, v·v·21) and things that missions name, which may be empty."""
-    seen = retina(_images(cells, view), things_of(named) if named else None)
+    if named:
+        seen = retina(_images(cells, view), things_of(named))
+    else:
+        codes = (cells.reshape(-1, DEPTH).astype(np.float32) @ _CODE).astype(np.intp)
+        seen = retina_of_codes(codes.reshape(len(cells), view * view), view)
     features = np.zeros((len(seen), size))
     features[:, : seen.shape[1]] = seen
     return features

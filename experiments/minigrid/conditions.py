@@ -112,7 +112,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             began, worked = time.perf_counter(), time.process_time()
             if number == 0 and arm in settings.PROPOSED:
                 groups, walked = _proposed(venv, env_seed)
-            callbacks = _callbacks(arm, seed, number, groups, is_last=is_last, primitive_rollouts=rollouts)
+            callbacks = callbacks_of(arm, seed, number, groups, is_last=is_last, primitive_rollouts=rollouts)
             model.learn(stage.frames, callback=[*callbacks, notes])
             taken = {"seconds": time.perf_counter() - began, "processor_seconds": time.process_time() - worked}
             runs = {name: dict(ends) for name, ends in notes.runs.items()}
@@ -149,7 +149,7 @@ def _proposed(venv: VecEnv, seed: int) -> tuple[Sequence[FeatureGroup], int]:
     return propose_groups(features, venv.get_attr("feature_names", [0])[0]), sum(map(len, walks))
 
 
-def _callbacks(
+def callbacks_of(
     arm: Arm,
     seed: int,
     stage: int,
@@ -158,6 +158,7 @@ def _callbacks(
     is_last: bool,
     primitive_rollouts: bool,
 ) -> list[BaseCallback]:
+    """Callbacks of an agent in one stage: discovery, options by hand, the bonus."""
     callbacks: list[BaseCallback] = []
     if arm in settings.DISCOVERING:
         is_drawn = arm in (*settings.RANDOM, *settings.CONTRASTING)

@@ -51,7 +51,7 @@ def check(model: BaseAlgorithm) -> None:
         raise ValueError(
             f"Checkpoints of {of.__name__} are not supported yet; those of {', '.join(SUPPORTED)} are, without use_sde."
         )
-    family_of(model).prepare_buffer()
+    family_of(model).prepare()
 
 
 def get_state(model: BaseAlgorithm) -> State:

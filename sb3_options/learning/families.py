@@ -47,8 +47,8 @@ class Family:
         """The replay buffer, if it supports options."""
         return None
 
-    def prepare_buffer(self) -> None:
-        """Replace SB3's empty replay buffer with an `OptionReplayBuffer`; refuse other buffers that discount with γ."""
+    def prepare(self) -> None:
+        """Replace parts of the model, before it trains or is restored, with parts for options; refuse unfit ones."""
 
     def check(self, venv: VecEnv) -> None:
         """Refuse networks, buffers and wrappers that options would spoil, and say what to change."""
@@ -151,8 +151,8 @@ class ValueBased(Networks):
         buffer = self.model.replay_buffer
         return buffer if isinstance(buffer, OptionReplayBuffer) else None
 
-    def prepare_buffer(self) -> None:
-        """Also refuse a buffer that does not know the model's ``n_steps``."""
+    def prepare(self) -> None:
+        """Replace SB3's empty replay buffer with an `OptionReplayBuffer`; refuse one that discounts with γ or n = 1."""
         buffer = self.model.replay_buffer
         name = type(self.model).__name__
         if buffer is None:
@@ -253,6 +253,14 @@ class Masked(Sampled):
     """MaskablePPO: probabilities of the available actions. Masks are stored, so a head may open at any time."""
 
     waits_for_rollout = False
+
+    def prepare(self) -> None:
+        """Replace sb3-contrib's distribution with an equal one that takes less time."""
+        policy = self.model.policy
+        if type(getattr(policy, "action_dist", None)).__module__ == "sb3_contrib.common.maskable.distributions":
+            from sb3_options.learning.masked_distribution import quick  # here: sb3-contrib is optional
+
+            policy.action_dist = quick(policy.action_dist)
 
     def widen(self, actions: spaces.Discrete) -> None:
         """Also let the rollout buffer store masks of the wider space."""

@@ -9,7 +9,7 @@ from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options import creation
-from sb3_options.options.creation import OptionGrowth, joined, learn_option
+from sb3_options.options.creation import FIRST_GROWTH, OptionGrowth, joined, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
@@ -145,6 +145,27 @@ def test_due_at_every_doubling_of_what_reached_the_subgoal() -> None:
     growth.made(0, subgoal, [REACHES, MISSES, REACHES])
     due = [growth.is_due(0, subgoal, t) for t in (REACHES, MISSES, REACHES, REACHES, REACHES, REACHES, REACHES)]
     assert due == [False, False, True, False, False, False, True]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_counting_late_and_checkpoints_change_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    reached, learned_from, growth = 0, FIRST_GROWTH, OptionGrowth()
+    growth.adopted(0)
+    subgoal = ball(2.0)
+    for _ in range(300):
+        trajectory = line(list(np.cumsum(rng.integers(-1, 2, rng.integers(2, 9)))))
+        if rng.random() < 0.1:
+            subgoal = ball(float(rng.integers(0, 4)))
+        if rng.random() < 0.1:
+            state = growth.get_state()
+            assert state["_reached"] == {0: reached}
+            growth = OptionGrowth()
+            growth.set_state(state)
+        reached += bool(subgoal.contains(trajectory.features).any())
+        due = reached >= 2 * learned_from
+        learned_from = reached if due else learned_from
+        assert growth.is_due(0, subgoal, trajectory) == due
 
 
 def test_an_adopted_option_is_learned_anew_once_enough_reach_it_here() -> None:
