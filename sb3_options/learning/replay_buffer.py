@@ -203,7 +203,7 @@ class OptionReplayBuffer(ReplayBuffer):
             this = slice(i, i + 1)
             decision = self.pos
             inner = NO_ROWS
-            follows = self._follows(i, here)
+            follows = self._successors is not None and self._follows(i, here, self._successors)
             self._write(here, there, chosen[None], reward[this], done[this], timeout, run.discount, last)
             if self.macro_q and run.index >= 0 and run.actions is not None:
                 inner = (self.pos + np.arange(run.duration)) % self.buffer_size
@@ -211,9 +211,9 @@ class OptionReplayBuffer(ReplayBuffer):
             if self._successors is not None:
                 self._successors.add(i, decision, inner, follows=follows, done=bool(done[i]))
 
-    def _follows(self, env: int, here: Rows) -> bool:
+    def _follows(self, env: int, here: Rows, successors: Successors) -> bool:
         """Return whether a decision begins where the last one of its environment ended."""
-        newest = NO_ROWS if self._successors is None else self._successors.newest(env)
+        newest = successors.newest(env)
         return all(np.array_equal(self._next_observations[k][newest], v) for k, v in here.items())
 
     def _write_inner(self, run: OptionRun, there: Rows, done: bool, timeout: bool) -> None:

@@ -271,8 +271,10 @@ class SubgoalOption(Option):
         return self._membership(self._membership_of, features)
 
     def _membership_of(self, features: Any) -> BoolArray:
-        reached = self.subgoal.contains(features)
-        return np.column_stack([self.initiation_set.contains(features) & ~reached, reached])
+        membership = np.empty((len(features), 2), dtype=bool)
+        membership[:, 1] = self.subgoal.contains(features)
+        membership[:, 0] = self.initiation_set.contains(features) & ~membership[:, 1]
+        return membership
 
     def features(self, observations: Observations) -> FloatArray:
         """Return φ of a batch of observations, (batch, d). Not to be changed."""
