@@ -89,16 +89,17 @@ class Turns(BaseCallback):
 def trained(family: str, arm: Arm, seed: int) -> tuple[BaseAlgorithm, list[BaseCallback], int]:
     """A model in the last stage after training in the others, its callbacks, and how many options it has."""
     slots = settings.max_options(family) if arm in settings.WITH_OPTIONS else 0
-    *before, last = FAMILIES[family]
+    last = FAMILIES[family][-1]
     model: Any = None
     options = None
     n_options = 0
     with tempfile.TemporaryDirectory() as folder:
-        for number, stage in enumerate((*before, last)):
+        for number, stage in enumerate(FAMILIES[family]):
             venv = venv_of(stage.env_id, seed, slots=slots, options=options)
             if model is None:
                 model = model_of(arm, venv, seed)
-            model.set_env(venv)
+            else:
+                model.set_env(venv)
             rollouts = settings.primitive_rollouts(stage)
             callbacks = callbacks_of(arm, seed, number, None, is_last=stage is last, primitive_rollouts=rollouts)
             if stage is last:
@@ -108,6 +109,7 @@ def trained(family: str, arm: Arm, seed: int) -> tuple[BaseAlgorithm, list[BaseC
                 if isinstance(each, SubgoalDiscoveryCallback):
                     options, n_options = Path(folder) / "options", len(each.bank)
                     each.bank.save(options)
+            venv.close()
     return model, callbacks, n_options
 
 
@@ -149,7 +151,7 @@ def main(benchmark: Benchmark) -> None:
     command += f" --seed {benchmark.seed} --out FOLDER"
     results = {family: race(family, benchmark.frames, benchmark.seed) for family in families}
     write(benchmark.out, {"command": command, **results}, {}, dpi=110)
-    table = Table("", "options", "frames a decision", "µs a frame", "PPO's", "ratio", "95 % interval", "bar")
+    table = Table("", "options", "frames a decision", "µs a frame", "PPO, µs a frame", "ratio", "95 % interval", "bar")
     for family, of in results.items():
         cells = (f"{cost:.0f}" for cost in of["microseconds"].values())
         interval = f"{of['low']:.2f} to {of['high']:.2f}"

@@ -52,13 +52,13 @@ PAIRS = (("key", "locked_door"), ("key", "closed_door"), ("ball", "open_door"), 
 _NOTHING = N_KINDS
 
 
-WORTH = 256
+OBJECT_FACTOR = 256
 """Factor of the object in a cell's code: its object times this, plus its state."""
 
 
 def _kinds() -> npt.NDArray[np.int8]:
     """Return the kind of a cell by its code."""
-    kinds = np.full((256, WORTH), _NOTHING, dtype=np.int8)
+    kinds = np.full((256, OBJECT_FACTOR), _NOTHING, dtype=np.int8)
     for state, kind in ((CLOSED, "closed_door"), (OPEN, "open_door"), (LOCKED, "locked_door")):
         kinds[DOOR, state] = KINDS.index(kind)
     for thing, kind in ((KEY, "key"), (BALL, "ball"), (BOX, "box"), (GOAL, "goal"), (LAVA, "lava")):
@@ -67,8 +67,8 @@ def _kinds() -> npt.NDArray[np.int8]:
 
 
 _KIND_OF = _kinds()
-_IS_WALL = np.repeat(np.arange(256) == WALL, WORTH)
-_IS_FREE = np.repeat(np.isin(np.arange(256), (*FREE, GOAL)), WORTH) | (KINDS.index("open_door") == _KIND_OF)
+_IS_WALL = np.repeat(np.arange(256) == WALL, OBJECT_FACTOR)
+_IS_FREE = np.repeat(np.isin(np.arange(256), (*FREE, GOAL)), OBJECT_FACTOR) | (KINDS.index("open_door") == _KIND_OF)
 _COLOURED = np.isin(np.arange(256), COLOURED)
 
 
@@ -91,7 +91,7 @@ def retina(
     n, view = images.shape[:2]
     objects, colours, states = images.reshape(n, view * view, 3).astype(np.intp).transpose(2, 0, 1)
     match = None if asked is None else _asked(objects, colours, asked)
-    return retina_of_codes(objects * WORTH + states, view, match)
+    return retina_of_codes(objects * OBJECT_FACTOR + states, view, match)
 
 
 def retina_of_codes(
@@ -100,7 +100,7 @@ def retina_of_codes(
     """Return the `retina` of the codes of cells, (batch, v²).
 
     Args:
-        codes: Of each cell in view, `WORTH` times its object plus its state, (batch, v²).
+        codes: Of each cell in view, `OBJECT_FACTOR` times its object plus its state, (batch, v²).
         view: The width v of the view in cells.
         match: Which cells hold the things that each mission names, (batch, k, v²).
     """

@@ -16,7 +16,7 @@ from sb3_options.envs.minigrid.instructions import Instructions
 from sb3_options.envs.minigrid.missions import Missions, things_of
 from sb3_options.envs.minigrid.retina import (
     MOST_ASKED,
-    WORTH,
+    OBJECT_FACTOR,
     concept_groups,
     feature_names,
     retina,
@@ -145,7 +145,7 @@ It is in floating point, because numpy multiplies integer matrices without BLAS,
 for _channel, _n, _first in ((0, OBJECTS, 0), (1, COLOURS, OBJECTS), (2, STATES, OBJECTS + COLOURS)):
     _WORTH[_first : _first + _n, _channel] = np.arange(_n)
 
-_CODE = _WORTH @ np.array([WORTH, 0, 1], dtype=np.float32)
+_CODE = _WORTH @ np.array([OBJECT_FACTOR, 0, 1], dtype=np.float32)
 """What each position adds to the code of a cell, for `retina_of_codes`."""
 
 

@@ -31,11 +31,10 @@ TASKS = {
     "MiniGrid-ObstructedMaze-2Dlh-v0": 1_000_000,
     "MiniGrid-LockedRoom-v0": 300_000,
     "BabyAI-UnlockToUnlock-v0": 300_000,
-    "BabyAI-GoToImpUnlock-v0": 300_000,
 }
 """Frames after which a run is given up, by task."""
 
-MISSIONS = ("MiniGrid-LockedRoom-v0", "BabyAI-GoToImpUnlock-v0")
+MISSIONS = ("MiniGrid-LockedRoom-v0",)
 """Tasks whose mission names what the agent cannot see: it is part of the observation."""
 
 LEARNED, EPISODES = 0.8, 100

@@ -58,10 +58,11 @@ def expert_of(env: gym.Env[Any, Any], noise: float = 0.0, seed: int = 0) -> Call
 
 
 def planned(game: Any) -> int:
-    """The next action on a shortest way to the goal, to `game.obj` or else a ball; first come the keys of its doors."""
+    """The next action towards `game.obj`, the goal or a ball. Keys of locked doors on the way come first."""
     kinds = game.actions
     things = _things(game)
-    goal = getattr(game, "obj", None) or next(thing for _, thing in things if thing.type in ("goal", "ball"))
+    ends = [thing for of in ("goal", "ball") for _, thing in things if thing.type == of]
+    goal = getattr(game, "obj", None) or ends[0]
     target = next(cell for cell, thing in things if thing is goal)
     action = kinds.forward if game.grid.get(*target).type == "goal" else kinds.pickup
     held = game.carrying

@@ -152,7 +152,7 @@ class ValueBased(Networks):
         return buffer if isinstance(buffer, OptionReplayBuffer) else None
 
     def prepare(self) -> None:
-        """Replace SB3's empty replay buffer with an `OptionReplayBuffer`; refuse one that discounts with γ or n = 1."""
+        """Replace SB3's empty replay buffer with an `OptionReplayBuffer`; refuse one that ignores γᵏ or ``n_steps``."""
         buffer = self.model.replay_buffer
         name = type(self.model).__name__
         if buffer is None:

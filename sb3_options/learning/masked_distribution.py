@@ -1,12 +1,11 @@
-"""sb3-contrib's masked categorical distribution, equal bit for bit, without checks and repeated work.
+"""sb3-contrib's masked categorical distribution without repeated work: its answers are equal bit for bit.
 
 In the forward pass of a small policy, sb3-contrib's `MaskableCategorical` takes longer than the network. It initialises
-and checks `torch.distributions.Categorical` three times.
+and checks `torch.distributions.Categorical` three times if there are masks.
 """
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import torch
@@ -17,6 +16,7 @@ from sb3_contrib.common.maskable.distributions import (
     MaybeMasks,
 )
 from torch.distributions import Distribution
+from torch.distributions.utils import lazy_property
 
 MASKED = -1e8
 """Logit of a masked action, as in sb3-contrib."""
@@ -25,33 +25,37 @@ MASKED = -1e8
 class QuickMaskableCategorical(MaskableCategorical):
     """Categorical distribution over the actions that masks allow.
 
-    Only `sample` refuses NaN, with a `RuntimeError`.
-
     Args:
         logits: Unnormalised logarithms of probabilities, (batch, n_actions).
+
+    Raises:
+        ValueError: A logit is NaN or infinite.
     """
 
     def __init__(self, logits: torch.Tensor) -> None:
-        self._original_logits = _normalised(logits)
+        total = logits.logsumexp(dim=-1, keepdim=True)
+        if not total.isfinite().all():
+            raise ValueError("A policy has logits that are NaN or infinite, perhaps from a learning rate too high.")
+        self._original_logits = self._masked_logits = logits - total
         self._num_events = logits.shape[-1]
         self.masks = None
         Distribution.__init__(self, logits.shape[:-1], validate_args=False)
 
     def apply_masking(self, masks: MaybeMasks) -> None:
         """Allow the actions of ``masks`` alone, (batch, n_actions); None allows all."""
-        original = self._original_logits
-        self.masks = None if masks is None else torch.as_tensor(masks, dtype=torch.bool, device=original.device)
-        if self.masks is not None:
-            self.masks = self.masks.reshape(original.shape)
+        self.masks, self._masked_logits = None, self._original_logits
+        if masks is not None:
+            allowed = torch.as_tensor(masks, dtype=torch.bool, device=self._original_logits.device)
+            self.masks = allowed.reshape(self._original_logits.shape)
+            self._masked_logits = self._original_logits.where(self.masks, MASKED)
         for computed in ("logits", "probs"):
             self.__dict__.pop(computed, None)
 
-    @cached_property
+    @lazy_property
     def logits(self) -> torch.Tensor:
         """Logarithms of the probabilities, (batch, n_actions)."""
-        original = self._original_logits
         # Normalised again even without masks, as in sb3-contrib, for equal rounding.
-        return _normalised(original if self.masks is None else original.where(self.masks, MASKED))
+        return self._masked_logits - self._masked_logits.logsumexp(dim=-1, keepdim=True)
 
     @property
     def _param(self) -> torch.Tensor:  # type: ignore[override]  # torch sets it in the constructor, which is not called
@@ -59,6 +63,8 @@ class QuickMaskableCategorical(MaskableCategorical):
 
     def log_prob(self, value: torch.Tensor) -> torch.Tensor:
         """Return the logarithm of the probability of each action, (batch,)."""
+        if value.shape != self._batch_shape:
+            return torch.as_tensor(super().log_prob(value))  # type: ignore[no-untyped-call]  # it broadcasts
         return self.logits.gather(-1, value.long().unsqueeze(-1)).squeeze(-1)
 
     def sample(self, sample_shape: Any = ()) -> torch.Tensor:
@@ -66,10 +72,6 @@ class QuickMaskableCategorical(MaskableCategorical):
         if sample_shape:
             return torch.as_tensor(super().sample(sample_shape))  # type: ignore[no-untyped-call]
         return self.probs.multinomial(1, True).squeeze(-1)
-
-
-def _normalised(logits: torch.Tensor) -> torch.Tensor:
-    return logits - logits.logsumexp(dim=-1, keepdim=True)
 
 
 class QuickMaskableDistribution(MaskableCategoricalDistribution):

@@ -100,6 +100,7 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
 
 
 WAITING = 32  # most trajectories that wait to be counted
+WAITING_STATES = 4096  # and most of their states, but for the last trajectory
 FIRST_GROWTH = 5  # an adopted option counts as made from this many trajectories
 
 
@@ -130,6 +131,7 @@ class OptionGrowth:
 
     def made(self, slot: int, subgoal: Region, trajectories: Iterable[LabelledTrajectory]) -> None:
         """Count the ``trajectories`` that the option in ``slot`` was made from."""
+        self._waiting.pop(slot, None)
         reached = sum(bool(subgoal.contains(each.features).any()) for each in trajectories)
         self._reached[slot] = self._learned_from[slot] = reached
 
@@ -154,7 +156,8 @@ class OptionGrowth:
         waiting = self._waiting.setdefault(slot, [])
         waiting.append((subgoal, trajectory.features))
         due = 2 * self._learned_from[slot]
-        if len(waiting) < min(due - self._reached[slot], WAITING):  # even if all of them reached it
+        few = len(waiting) < WAITING and sum(len(features) for _, features in waiting) < WAITING_STATES
+        if few and len(waiting) < due - self._reached[slot]:  # too few even if all of them reached it
             return False
         self._count(slot)
         if self._reached[slot] < due:
@@ -163,10 +166,9 @@ class OptionGrowth:
         return True
 
     def _count(self, slot: int) -> None:
-        """Count the trajectories that wait. All at once take a fraction of the time."""
-        for _, alike in groupby(
-            self._waiting.pop(slot, []), key=lambda each: id(each[0])
-        ):  # a learned φ moves subgoals
+        """Count the trajectories that wait. Counting them together takes a fraction of the time."""
+        waiting = self._waiting.pop(slot, [])
+        for _, alike in groupby(waiting, key=lambda each: id(each[0])):  # the subgoal moves when φ is learned anew
             (subgoal, *_), features = zip(*alike, strict=True)
             first = np.cumsum([0, *map(len, features[:-1])])
             self._reached[slot] += int(np.logical_or.reduceat(subgoal.contains(np.concatenate(features)), first).sum())

@@ -39,3 +39,4 @@ def test_both_are_timed(monkeypatch: pytest.MonkeyPatch) -> None:
     found = minigrid_frames.race("MultiRoom-4", 10_000, 0)
     assert found["n_turns"] >= 2
     assert 0.2 < found["mean"] < 5
+    assert found["frames_per_decision"] >= 1

@@ -20,6 +20,7 @@ from sb3_options.envs.minigrid import make
         ("MiniGrid-LockedRoom-v0", 80),
         ("MiniGrid-ObstructedMaze-2Dlh-v0", 80),
         ("BabyAI-KeyCorridorS3R3-v0", 150),
+        ("BabyAI-UnlockToUnlock-v0", 80),
     ],
 )
 def test_experts_succeed(task: str, longest: int) -> None:

@@ -62,10 +62,35 @@ def test_no_mask_is_no_mask() -> None:
     assert torch.equal(answers[0].entropy(), answers[1].entropy())
 
 
-def test_nan_is_refused_when_an_action_is_drawn() -> None:
-    distribution = QuickMaskableDistribution(2).proba_distribution(torch.full((1, 2), torch.nan))
-    with pytest.raises(RuntimeError, match="nan"):
-        distribution.sample()
+@pytest.mark.parametrize("wrong", [torch.nan, torch.inf])
+def test_logits_that_are_no_numbers_are_refused(wrong: float) -> None:
+    with pytest.raises(ValueError, match="NaN or infinite"):
+        QuickMaskableDistribution(2).proba_distribution(torch.tensor([[0.0, wrong]]))
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1), (3, 4)])
+def test_log_prob_broadcasts(shape: tuple[int, ...]) -> None:
+    answers = [
+        of(N).proba_distribution(torch.arange(4.0 * N).reshape(4, N)).log_prob(torch.ones(shape))
+        for of in (QuickMaskableDistribution, MaskableCategoricalDistribution)
+    ]
+    assert torch.equal(*answers)
+
+
+def test_an_answer_without_gradients_does_not_take_them_from_the_next() -> None:
+    logits = torch.zeros(2, N, requires_grad=True)
+    distribution = QuickMaskableDistribution(N).proba_distribution(logits)
+    with torch.no_grad():
+        distribution.entropy()
+    assert distribution.entropy().requires_grad
+
+
+def test_a_mask_that_is_used_again_changes_nothing_later() -> None:
+    mask = np.array([[True, True, False]])
+    distribution = QuickMaskableDistribution(3).proba_distribution(torch.zeros(1, 3))
+    distribution.apply_masking(mask)
+    mask[:] = True
+    assert distribution.distribution.probs.tolist() == [[0.5, 0.5, 0.0]]
 
 
 def test_other_distributions_stay() -> None:

@@ -9,7 +9,7 @@ from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options import creation
-from sb3_options.options.creation import FIRST_GROWTH, OptionGrowth, joined, learn_option
+from sb3_options.options.creation import FIRST_GROWTH, WAITING_STATES, OptionGrowth, joined, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
@@ -195,6 +195,21 @@ def test_joined_options_start_where_either_does_and_act_as_the_later_one_where_i
         learned(2, 3, 4, 5), option_policy=NetworkPolicy(np.zeros(1), np.ones(1), [np.eye(1, 2)], [np.zeros(2)])
     )
     assert joined(network, later) is network
+
+
+def test_an_option_in_a_slot_that_was_taken_out_counts_from_its_own_trajectories() -> None:
+    growth, subgoal = OptionGrowth(), ball(2.0)
+    growth.adopted(0)
+    assert not any(growth.is_due(0, subgoal, REACHES) for _ in range(9))
+    growth.made(0, subgoal, [REACHES] * 3)
+    assert [growth.is_due(0, subgoal, REACHES) for _ in range(3)] == [False, False, True]
+
+
+def test_long_trajectories_are_counted_early() -> None:
+    growth = OptionGrowth()
+    growth.adopted(0)
+    growth.is_due(0, ball(2.0), line(list(range(WAITING_STATES))))
+    assert not growth._waiting
 
 
 def test_a_closed_option_does_not_grow() -> None:
