@@ -60,7 +60,7 @@ class Turns(BaseCallback):
 
     Args:
         mine: Is released when it is this one's turn.
-        other: Likewise of the other.
+        other: Is released when it is the other training's turn.
 
     Attributes:
         marks: Primitive steps and seconds of processor time when each turn began.

@@ -6,8 +6,6 @@ and checks `torch.distributions.Categorical` three times if there are masks.
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from sb3_contrib.common.maskable.distributions import (
     MaskableCategorical,
@@ -36,7 +34,7 @@ class QuickMaskableCategorical(MaskableCategorical):
         total = logits.logsumexp(dim=-1, keepdim=True)
         if not total.isfinite().all():
             raise ValueError("A policy has logits that are NaN or infinite, perhaps from a learning rate too high.")
-        self._original_logits = self._masked_logits = logits - total
+        self._original_logits = self._masked_logits = self._param = logits - total
         self._num_events = logits.shape[-1]
         self.masks = None
         Distribution.__init__(self, logits.shape[:-1], validate_args=False)
@@ -57,21 +55,11 @@ class QuickMaskableCategorical(MaskableCategorical):
         # Normalised again even without masks, as in sb3-contrib, for equal rounding.
         return self._masked_logits - self._masked_logits.logsumexp(dim=-1, keepdim=True)
 
-    @property
-    def _param(self) -> torch.Tensor:  # type: ignore[override]  # torch sets it in the constructor, which is not called
-        return self.logits
-
     def log_prob(self, value: torch.Tensor) -> torch.Tensor:
         """Return the logarithm of the probability of each action, (batch,)."""
         if value.shape != self._batch_shape:
             return torch.as_tensor(super().log_prob(value))  # type: ignore[no-untyped-call]  # it broadcasts
         return self.logits.gather(-1, value.long().unsqueeze(-1)).squeeze(-1)
-
-    def sample(self, sample_shape: Any = ()) -> torch.Tensor:
-        """Return random actions, (*sample_shape, batch)."""
-        if sample_shape:
-            return torch.as_tensor(super().sample(sample_shape))  # type: ignore[no-untyped-call]
-        return self.probs.multinomial(1, True).squeeze(-1)
 
 
 class QuickMaskableDistribution(MaskableCategoricalDistribution):
