@@ -6,6 +6,8 @@ and checks `torch.distributions.Categorical` three times if there are masks.
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from sb3_contrib.common.maskable.distributions import (
     MaskableCategorical,
@@ -60,6 +62,12 @@ class QuickMaskableCategorical(MaskableCategorical):
         if value.shape != self._batch_shape:
             return torch.as_tensor(super().log_prob(value))  # type: ignore[no-untyped-call]  # it broadcasts
         return self.logits.gather(-1, value.long().unsqueeze(-1)).squeeze(-1)
+
+    def sample(self, sample_shape: Any = ()) -> torch.Tensor:
+        """Return random actions, (*sample_shape, batch)."""
+        if sample_shape:
+            return torch.as_tensor(super().sample(sample_shape))  # type: ignore[no-untyped-call]
+        return self.probs.multinomial(1, True).squeeze(-1)
 
 
 class QuickMaskableDistribution(MaskableCategoricalDistribution):
