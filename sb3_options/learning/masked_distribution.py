@@ -1,7 +1,7 @@
 """sb3-contrib's masked categorical distribution without repeated work: its answers are equal bit for bit.
 
-In the forward pass of a small policy, sb3-contrib's `MaskableCategorical` takes longer than the network. It initialises
-and checks `torch.distributions.Categorical` three times if there are masks.
+In the forward pass of a small policy, sb3-contrib's ``MaskableCategorical`` takes longer than the network. It
+initialises and checks ``torch.distributions.Categorical`` three times if there are masks.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class QuickMaskableCategorical(MaskableCategorical):
         return self.logits.gather(-1, value.long().unsqueeze(-1)).squeeze(-1)
 
     def sample(self, sample_shape: Any = ()) -> torch.Tensor:
-        """Return random actions, (*sample_shape, batch)."""
+        """Return random actions, ``(*sample_shape, batch)``."""
         if sample_shape:
             return torch.as_tensor(super().sample(sample_shape))  # type: ignore[no-untyped-call]
         return self.probs.multinomial(1, True).squeeze(-1)

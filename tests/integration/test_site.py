@@ -12,6 +12,8 @@ from sb3_options import callbacks, envs
 from tests.support import processes
 from tests.support.documents import PACKAGE, PAGES, ROOT, name_of, python_of, text_of
 
+pytestmark = pytest.mark.xdist_group("site")  # one build for all
+
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.md"))
 
 
