@@ -106,11 +106,15 @@ def retina_of_codes(
     """
     n, n_cells = codes.shape
     sight = _sight(view)
-    nearest = np.full((n, N_KINDS + 1), n_cells)
     # Of equal indices numpy assigns the last, so the farthest cells come first.
     kind = _KIND_OF.take(codes.take(sight.farthest_first, axis=1))
-    nearest[np.arange(n)[:, None], kind] = sight.countdown
-    nearest = nearest[:, :_NOTHING]
+    if n == 1:  # a step of an agent
+        row = kind.tobytes()
+        nearest = np.array([[n_cells - 1 - i if (i := row.rfind(of)) >= 0 else n_cells for of in range(N_KINDS)]])
+    else:
+        nearest = np.full((n, N_KINDS + 1), n_cells)
+        nearest[np.arange(n)[:, None], kind] = sight.countdown
+        nearest = nearest[:, :_NOTHING]
     if match is not None:
         match = match[..., sight.farthest_first[::-1]]
         found = np.where(match.any(axis=2), match.argmax(axis=2), n_cells)

@@ -66,6 +66,8 @@ class Region:
         scaled = tuple(x * factor for x, factor in zip(point, self._factors, strict=True))
         if scaled in self._centres:
             return True
+        if self._apart and all(x % 1 == 0 for x in point):
+            return False
         if len(self.points) > 1:
             return bool((_cdist()(np.array([scaled]), self._scaled) <= self.radius).any())
         (centre,) = self._centres
@@ -81,6 +83,11 @@ class Region:
     @cached_property
     def _centres(self) -> frozenset[tuple[float, ...]]:
         return frozenset(map(tuple, self._scaled.tolist()))
+
+    @cached_property
+    def _apart(self) -> bool:
+        """Whether the centres are whole numbers, and other whole numbers farther from them than the radius."""
+        return bool((self.points % 1 == 0).all()) and self.radius < 0.999 * min(self._factors)
 
     @cached_property
     def _factors(self) -> list[float]:

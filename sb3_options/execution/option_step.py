@@ -6,9 +6,8 @@ from typing import Any, SupportsFloat, TypeAlias
 
 import numpy as np
 
-from sb3_options.experience.observations import BoolArray, IntArray, Observations, batch_of_one, copy_of, stack
+from sb3_options.experience.observations import BoolArray, copy_of, stack
 from sb3_options.experience.option_run import OptionRun, Termination
-from sb3_options.options.option import Option
 
 StepReturn: TypeAlias = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 """What ``gymnasium.Env.step`` returns: observation, reward, terminated, truncated, info."""
@@ -49,22 +48,6 @@ class RunUnderWay:
             available,
             self.inside,
         )
-
-
-def primitive_of(option: Option, observation: Any, n_primitive: int) -> int:
-    """Return the primitive action that an option's policy takes."""
-    return int(primitives_of(option, batch_of_one(observation), n_primitive)[0])
-
-
-def primitives_of(option: Option, observations: Observations, n_primitive: int) -> IntArray:
-    """Return the primitive actions that an option's policy takes, (batch,)."""
-    actions = option.policy(observations)
-    for action in actions.tolist():
-        if not 0 <= action < n_primitive:
-            raise ValueError(
-                f"The policy of option {option.name!r} chose {action}; primitive actions are 0 to {n_primitive - 1}."
-            )
-    return actions
 
 
 def why_ended(

@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import (
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution.above import Outermost
-from sb3_options.execution.option_step import RunUnderWay, primitives_of, why_ended
+from sb3_options.execution.option_step import RunUnderWay, why_ended
 from sb3_options.execution.recording import recorder_for, refuse_own
 from sb3_options.execution.slots import SlotState, Traits, checked_primitives, empty_bank, with_changes
 from sb3_options.execution.wrapper import TERMINATION_SEED, OptionsWrapper
@@ -42,6 +42,7 @@ from sb3_options.experience.option_run import OptionRun, RunInfo, Termination
 from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.success import success_in
 from sb3_options.experience.trajectories import Trajectory
+from sb3_options.options.bank import primitives_of
 from sb3_options.options.option import Option
 
 Infos: TypeAlias = list[dict[str, Any]]

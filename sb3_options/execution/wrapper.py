@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable
-from typing import Any, cast
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -17,10 +17,10 @@ from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
-from sb3_options.execution.option_step import RunUnderWay, StepReturn, primitive_of, why_ended
+from sb3_options.execution.option_step import RunUnderWay, StepReturn, why_ended
 from sb3_options.execution.recording import RecordTrajectories, refuse_own
 from sb3_options.execution.slots import SlotState, Traits, checked_primitives, empty_bank, with_changes
-from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one, stack
+from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun, RunInfo, Termination
 from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.success import success_in
@@ -217,7 +217,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 'sb3_options.load_options("model.zip", env). To train, give learn() a SubgoalDiscoveryCallback or a '
                 "PrimitiveStepsCallback. This is said once."
             )
-        slots = self._available_slots(batch_of_one(self._current_observation("action_masks()")))[0]
+        slots = self._available_slots([self._current_observation("action_masks()")])[0]
         legal = self._legal()
         return np.concatenate([self._all_primitives if legal is None else legal, slots])
 
@@ -235,10 +235,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         legal = self._legal()
         if legal is not None:
             for slot in np.flatnonzero(slots).tolist():
-                slots[slot] = legal[self._first_primitive(slot)]
-
-    def _first_primitive(self, slot: int) -> int:
-        return primitive_of(cast("Option", self.bank[slot]), self._observation, self.n_primitive)
+                slots[slot] = legal[self.bank.action(slot, self._observation)]
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds the terminations of options with 0 < β < 1."""
@@ -279,7 +276,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             return self._run_primitive(self._instead_of(slot), instead=True)
         observation = self._current_observation("step()")
         legal = self._legal()
-        if legal is not None and not legal[self._first_primitive(slot)]:
+        if legal is not None and not legal[self.bank.action(slot, self._observation)]:
             return self._run_primitive(self._instead_of(slot), instead=True)
         return self._run_option(option, slot, observation)
 
@@ -301,7 +298,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     def _primitive_run(self, led: Any) -> dict[str, Any]:
         option = RunInfo(self._primitive)
         if self.slot_state.report_availability and self.bank.filled:
-            option["available"] = self._available_slots(batch_of_one(led))
+            option["available"] = self._available_slots([led])
         return option
 
     def _run_primitive(self, action: int, *, instead: bool = False) -> StepReturn:
@@ -318,29 +315,28 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         The option also ends, as if it had left I, if the environment masks its next primitive action. Outside I it runs
         for one step.
         """
-        inside = bool(option.initiation(batch_of_one(observation))[0])
+        inside = self.bank.may_start(slot, observation)
         self._runs[slot] += inside
         self._running = slot
         run = RunUnderWay(slot, observation, self.gamma, inside=inside)
         termination: Termination | None = None
-        action = primitive_of(option, observation, self.n_primitive)
+        action = self.bank.action(slot, observation)
         while termination is None:
             result = observation, reward, terminated, truncated, _ = self._primitive_step(action)
             run.add(action, reward, observation)
             if terminated or truncated:
                 termination = "terminated" if terminated else "truncated"
                 break
-            initiation, beta = option.membership(batch_of_one(observation))
-            goes_on = inside and bool(initiation[0])
-            duration = len(run.actions)
-            termination = why_ended(duration, option.max_duration, float(beta[0]), self._random, goes_on=goes_on)
+            initiation, beta = self.bank.membership(slot, observation)
+            goes_on = inside and initiation
+            termination = why_ended(len(run.actions), option.max_duration, beta, self._random, goes_on=goes_on)
             if termination is None:
-                action = primitive_of(option, observation, self.n_primitive)
+                action = self.bank.action(slot, observation)
                 legal = self._legal()
                 if legal is not None and not legal[action]:
                     termination = "left_initiation"
         self._running = None
-        led = self._available_slots(stack(run.observations[1:])) if self.slot_state.report_availability else None
+        led = self._available_slots(run.observations[1:]) if self.slot_state.report_availability else None
         return self._reported((observation, run.total, *result[2:]), run.ended(termination, led).as_info())
 
     def _primitive_step(self, action: int) -> StepReturn:
@@ -360,9 +356,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             info.update(self._recording.take())
         return observation, reward, terminated, truncated, info
 
-    def _available_slots(self, arrived_in: Observations) -> BoolArray:
+    def _available_slots(self, arrived_in: Sequence[Any]) -> BoolArray:
         """Return which slots may start in each observation; in the last, the present one, runs and masks count too."""
-        available: BoolArray = self.bank.available_slots(arrived_in)
+        available = np.array([self.bank.available_at(observation) for observation in arrived_in])
         self._forbid_now(available[-1])
         return available
 

@@ -3,19 +3,48 @@
 from __future__ import annotations
 
 import os
-from dataclasses import KW_ONLY, dataclass
-from typing import Any, cast
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, TypeGuard, cast
 
 import numpy as np
 
 from sb3_options.atomic import atomic_write
 from sb3_options.checked import whole
 from sb3_options.embedding.learned_map import LearnedMap
-from sb3_options.experience.observations import BoolArray, FeatureMap, Observations, batch_size
+from sb3_options.experience.observations import (
+    BoolArray,
+    FeatureMap,
+    FloatArray,
+    IntArray,
+    Observations,
+    batch_of_one,
+    batch_size,
+    key_of,
+)
 from sb3_options.options.archive import Source
 from sb3_options.options.file import MAX_SLOTS, OptionsFile, SpaceSignature, check_signature, content_of, opened
-from sb3_options.options.option import KnownFeatures, KnownResults, Option, SubgoalOption
+from sb3_options.options.option import CACHE_BYTES, KnownFeatures, KnownResults, Option, SubgoalOption
 from sb3_options.options.sealed import errors_of
+
+ANSWERS_BYTES = 600
+"""Memory of `Answers` and their entries, besides the observation; approximate."""
+
+
+@dataclass(slots=True)
+class Answers:
+    """Answers of the options of a bank at one observation, each computed when it is first asked for.
+
+    Attributes:
+        features: φ, (1, d); None if an option is hand-made.
+        available: Which options may start, (max_options,).
+        memberships: By slot: whether the observation lies in I, and β there.
+        actions: By slot: the primitive action of π.
+    """
+
+    features: FloatArray | None = None
+    available: BoolArray | None = None
+    memberships: dict[int, tuple[bool, float]] = field(default_factory=dict)
+    actions: dict[int, int] = field(default_factory=dict)
 
 
 @dataclass(eq=False, repr=False)
@@ -120,21 +149,82 @@ class OptionBank:
             return self._known(self._computed_slots, observations).copy()
         return self._computed_slots(observations)
 
-    def _computed_slots(self, observations: Observations) -> BoolArray:
+    def available_at(self, observation: Any) -> BoolArray:
+        """Return which options may start in one observation, shape (max_options,). Not to be changed."""
+        answers = self._answers_at(observation)
+        if answers.available is None:
+            answers.available = self._computed_slots(batch_of_one(observation), answers.features)[0]
+        return answers.available
+
+    def may_start(self, slot: int, observation: Any) -> bool:
+        """Return whether one observation lies in I of the option in a slot."""
+        if self._by_data:
+            return bool(self.available_at(observation)[slot])
+        return bool(cast("Option", self._slots[slot]).initiation(batch_of_one(observation))[0])
+
+    def membership(self, slot: int, observation: Any) -> tuple[bool, float]:
+        """Return whether one observation lies in I of the option in a slot, and β there."""
+        answers = self._answers_at(observation)
+        known = answers.memberships.get(slot)
+        if known is None:
+            option = cast("Option", self._slots[slot])
+            if answers.features is None:
+                initiation, termination = option.membership(batch_of_one(observation))
+            else:
+                initiation, termination = cast("SubgoalOption", option).membership_at(answers.features).T
+            known = answers.memberships[slot] = bool(initiation[0]), float(termination[0])
+        return known
+
+    def action(self, slot: int, observation: Any) -> int:
+        """Return the primitive action in one observation of the option in a slot."""
+        answers = self._answers_at(observation)
+        known = answers.actions.get(slot)
+        if known is None:
+            option = cast("Option", self._slots[slot])
+            known = int(primitives_of(option, batch_of_one(observation), self.n_primitive)[0])
+            answers.actions[slot] = known
+        return known
+
+    def _answers_at(self, observation: Any) -> Answers:
+        if not self._by_data:
+            return Answers()  # a hand-made option may have a memory
+        key = key_of(observation)
+        answers = self._answers.get(key)
+        if answers is None:
+            if len(self._answers) * (len(key) + ANSWERS_BYTES) > CACHE_BYTES:
+                self._answers.clear()
+                self._answers_by_features.clear()
+            answers = self._answers[key] = self._new_answers(observation)
+        return answers
+
+    def _new_answers(self, observation: Any) -> Answers:
+        features = cast("KnownFeatures", self._shared).computed(batch_of_one(observation))
+        if not self._sees_features:
+            return Answers(features)
+        return self._answers_by_features.setdefault(features.tobytes(), Answers(features))
+
+    def _computed_slots(self, observations: Observations, features: FloatArray | None = None) -> BoolArray:
         mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
-        features = None
         for slot in self.filled:
             option = cast("Option", self._slots[slot])
-            if isinstance(option, SubgoalOption) and option.known_features is self._shared is not None:
+            if self._is_bound(option):
                 features = option.features(observations) if features is None else features
                 mask[:, slot] = option.membership_at(features)[:, 0]
             else:
                 mask[:, slot] = option.initiation(observations)
         return mask
 
+    def _is_bound(self, option: Option | None) -> TypeGuard[SubgoalOption]:
+        """Whether an option consists of data and acts on the bank's φ."""
+        return isinstance(option, SubgoalOption) and option.known_features is self._shared is not None
+
     def _forget_results(self) -> None:
-        self._by_data = self.filled != () and all(isinstance(self._slots[slot], SubgoalOption) for slot in self.filled)
-        self._known: KnownResults[np.bool_] = KnownResults()  # a hand-made option may have a memory
+        options = [self._slots[slot] for slot in self.filled]
+        self._by_data = self.filled != () and all(map(self._is_bound, options))  # a hand-made option may have a memory
+        self._sees_features = all(getattr(option, "policy_input", None) == "features" for option in options)
+        self._known: KnownResults[np.bool_] = KnownResults()
+        self._answers: dict[bytes, Answers] = {}
+        self._answers_by_features: dict[bytes, Answers] = {}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the discovered options to a safetensors file, atomically: arrays and JSON, nothing that can run.
@@ -201,9 +291,28 @@ class OptionBank:
         # Functions may not travel between processes; the receiver of the bank has its own feature map. A learned
         # map is data, and belongs to `content`.
         learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
-        return {**self.__dict__, "feature_map": learned, "_shared": None, "_known": KnownResults()}
+        return {
+            **self.__dict__,
+            "feature_map": learned,
+            "_shared": None,
+            "_by_data": False,
+            "_known": KnownResults(),
+            "_answers": {},
+            "_answers_by_features": {},
+        }
 
     def check_slot(self, slot: int) -> None:
         """Refuse an unknown slot."""
         if not 0 <= slot < self.max_options:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
+
+
+def primitives_of(option: Option, observations: Observations, n_primitive: int) -> IntArray:
+    """Return the primitive actions that an option's policy takes, (batch,)."""
+    actions = option.policy(observations)
+    for action in actions.tolist():
+        if not 0 <= action < n_primitive:
+            raise ValueError(
+                f"The policy of option {option.name!r} chose {action}; primitive actions are 0 to {n_primitive - 1}."
+            )
+    return actions

@@ -111,9 +111,10 @@ class KnownFeatures:
         """Return φ of a batch of observations, (batch, d). Not to be changed."""
         if self._learned is not None and self._learned.scale is not self._scale:  # it has another one when it changes
             self._forget()
-        return self._known(self._computed, observations)
+        return self._known(self.computed, observations)
 
-    def _computed(self, observations: Observations) -> FloatArray:
+    def computed(self, observations: Observations) -> FloatArray:
+        """Return φ of a batch of observations, (batch, d), without looking them up."""
         features = np.array(self.of(observations), dtype=np.float64)  # a copy: φ may return a view of the observations
         n = obs_batch.batch_size(observations)
         if features.ndim != 2 or len(features) != n:

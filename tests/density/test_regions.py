@@ -9,12 +9,16 @@ from sb3_options.density.regions import Region
 
 @pytest.mark.parametrize("n_centres", [0, 1, 3, 40])
 @pytest.mark.parametrize("d", [1, 2, 5])
-def test_one_place_is_as_one_of_many(n_centres: int, d: int, rng: np.random.Generator) -> None:
-    region = Region(rng.normal(size=(n_centres, d)).round(1), rng.uniform(0.5, 2, d), 0.7)
-    places = np.concatenate([rng.normal(size=(200, d)).round(1), region.points, np.full((1, d), np.nan)])
+@pytest.mark.parametrize(("decimals", "radius"), [(1, 0.7), (0, 0.7), (0, 0.4)])  # the last: whole numbers lie apart
+def test_one_place_is_as_one_of_many(
+    n_centres: int, d: int, decimals: int, radius: float, rng: np.random.Generator
+) -> None:
+    region = Region(rng.normal(size=(n_centres, d)).round(decimals), rng.uniform(0.5, 2, d), radius)
+    places = rng.normal(size=(200, d)).round(1)
+    places = np.concatenate([places, places.round(), region.points, np.full((1, d), np.nan), np.full((1, d), np.inf)])
     whole = region.contains(places)
     assert [bool(region.contains(place[None])[0]) for place in places] == whole.tolist()
-    assert whole[200 : 200 + n_centres].all()
+    assert whole[400 : 400 + n_centres].all()
     if n_centres:
         nearest = cdist(places * region.scale, region.points * region.scale).min(axis=1)
         np.testing.assert_array_equal(whole, nearest <= region.radius)

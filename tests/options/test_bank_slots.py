@@ -1,5 +1,6 @@
 """Options move into the slots of a bank, stay there, and are available."""
 
+import dataclasses
 import pickle
 
 import numpy as np
@@ -58,6 +59,32 @@ class TestSlots:
             one_by_one = [bank.available_slots(OBSERVATIONS[i : i + 1])[0] for i in range(300) for _ in range(2)]
             np.testing.assert_array_equal(one_by_one[::2], bank.available_slots(OBSERVATIONS)[:300])
             np.testing.assert_array_equal(one_by_one[1::2], one_by_one[::2])
+
+    @pytest.mark.parametrize("sees", ["observation", "features", "both", "hand-made"])
+    def test_one_observation_is_answered_as_the_options_themselves_answer(
+        self, sees: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("sb3_options.options.bank.CACHE_BYTES", 50 * 600)  # not all have room
+        # The third number is no feature, so many observations have the same features.
+        coarse = np.concatenate([OBSERVATIONS[:200, :2].round(), OBSERVATIONS[:200, 2:].round(1)], axis=1)
+        bank = filled_bank() if sees == "observation" else empty_bank()
+        if sees != "observation":
+            bank.add(dataclasses.replace(table(size=2), policy_input="features"), 0)
+        if sees == "both":
+            bank.add(table(), 1)
+        if sees == "hand-made":
+            bank.add(steady_option(), 2)
+        for change in (lambda: None, lambda: bank.add(dataclasses.replace(table(7, size=2), policy_input="features"))):
+            change()
+            for observation in coarse:
+                one = observation[None]
+                np.testing.assert_array_equal(bank.available_at(observation), bank.available_slots(one)[0])
+                for slot in bank.filled:
+                    option = bank[slot]
+                    assert option is not None
+                    assert bank.membership(slot, observation) == (option.initiation(one)[0], option.termination(one)[0])
+                    assert bank.may_start(slot, observation) == option.initiation(one)[0]
+                    assert bank.action(slot, observation) == option.policy(one)[0]
 
     def test_available(self) -> None:
         bank = filled_bank()
