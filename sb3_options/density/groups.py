@@ -82,6 +82,10 @@ class FeatureGroup:
             )
         return features.take(self._columns, axis=1)
 
+    def own_of_one(self, features: list[float]) -> list[float]:
+        """Return the group's own features of one row."""
+        return [features[number] for number in self.features]
+
     def told(self, point: FloatArray) -> str | None:
         """Describe a point (k,) by the labels of its features; None without labels."""
         if not self.labels:
@@ -91,13 +95,14 @@ class FeatureGroup:
 
     def is_place(self, features: FloatArray) -> BoolArray:
         """Whether the group's thing is present, for features (batch, d), shape (batch,)."""
-        if len(features) == 1:  # every step of an agent, where a numpy call costs more than the rest
-            one = features[0].tolist()
-            return np.array([all(any(one[i] != 0 for i in numbers) for numbers in self.present)])
         there = np.ones(len(features), dtype=bool)
         for columns in self._present_columns:
             there &= (features.take(columns, axis=1) != 0).any(axis=1)
         return there
+
+    def holds(self, features: list[float]) -> bool:
+        """`is_place` for one row."""
+        return all(any(features[number] != 0 for number in numbers) for numbers in self.present)
 
     @cached_property
     def _columns(self) -> IntArray:

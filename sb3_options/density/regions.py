@@ -45,10 +45,18 @@ class Region:
 
         With a group, only places of the group are in the region.
         """
+        if len(features) == 1:
+            return np.array([self.contains_one(features[0].tolist())])
         if self.group is None:
             return self.covers(features)
         places = self.group.is_place(features)
         return places & self.covers(self.own(features)) if places.any() else places
+
+    def contains_one(self, features: list[float]) -> bool:
+        """`contains` for one row of features, in every step of an agent: numpy calls would cost more than the rest."""
+        if self.group is None:
+            return self._covers_one(features)
+        return self.group.holds(features) and self._covers_one(self.group.own_of_one(features))
 
     def covers(self, points: FloatArray) -> BoolArray:
         """`contains` for places given only by the features that count, (batch, d) or (batch, k)."""
@@ -56,20 +64,19 @@ class Region:
             return np.asarray((points - self.points[0]) @ self.normal >= 0)
         if len(self.points) == 0:
             return np.zeros(len(points), dtype=bool)
-        if len(points) == 1:
-            return np.array([self._covers_one(points[0].tolist())])
         nearest: FloatArray = _cdist()(points * self.scale, self._scaled).min(axis=1)
         return nearest <= self.radius
 
     def _covers_one(self, point: list[float]) -> bool:
-        """`covers` for one place, in every step of an agent: a numpy call would cost more than the arithmetic."""
-        scaled = tuple(x * factor for x, factor in zip(point, self._factors, strict=True))
+        if self.normal is not None:
+            return bool(self.covers(np.array([point]))[0])
+        scaled = tuple([x * factor for x, factor in zip(point, self._factors, strict=True)])
         if scaled in self._centres:
             return True
         if self._apart and all(x % 1 == 0 for x in point):
             return False
-        if len(self.points) > 1:
-            return bool((_cdist()(np.array([scaled]), self._scaled) <= self.radius).any())
+        if len(self._centres) != 1:
+            return bool(self.covers(np.array([point]))[0])
         (centre,) = self._centres
         square = 0.0  # term by term, as `cdist` adds them: `math.dist` and `sum` round differently
         for x, other in zip(scaled, centre, strict=True):

@@ -36,12 +36,14 @@ class Answers:
 
     Attributes:
         features: φ, (1, d); None if an option is hand-made.
+        key: Bytes of φ.
         available: Which options may start, (max_options,).
         memberships: By slot: whether the observation lies in I, and β there.
         actions: By slot: the primitive action of π.
     """
 
     features: FloatArray | None = None
+    key: bytes = b""
     available: BoolArray | None = None
     memberships: dict[int, tuple[bool, float]] = field(default_factory=dict)
     actions: dict[int, int] = field(default_factory=dict)
@@ -153,7 +155,14 @@ class OptionBank:
         """Return which options may start in one observation, shape (max_options,). Not to be changed."""
         answers = self._answers_at(observation)
         if answers.available is None:
-            answers.available = self._computed_slots(batch_of_one(observation), answers.features)[0]
+            if answers.features is None:
+                answers.available = self._computed_slots(batch_of_one(observation))[0]
+            else:
+                available = [False] * self.max_options
+                for slot in self.filled:
+                    option = cast("SubgoalOption", self._slots[slot])
+                    available[slot] = option.member(answers.features, answers.key)[0]
+                answers.available = np.array(available)
         return answers.available
 
     def may_start(self, slot: int, observation: Any) -> bool:
@@ -170,9 +179,11 @@ class OptionBank:
             option = cast("Option", self._slots[slot])
             if answers.features is None:
                 initiation, termination = option.membership(batch_of_one(observation))
+                known = bool(initiation[0]), float(termination[0])
             else:
-                initiation, termination = cast("SubgoalOption", option).membership_at(answers.features).T
-            known = answers.memberships[slot] = bool(initiation[0]), float(termination[0])
+                inside, arrived = cast("SubgoalOption", option).member(answers.features, answers.key)
+                known = inside, float(arrived)
+            answers.memberships[slot] = known
         return known
 
     def action(self, slot: int, observation: Any) -> int:
@@ -199,12 +210,14 @@ class OptionBank:
 
     def _new_answers(self, observation: Any) -> Answers:
         features = cast("KnownFeatures", self._shared).computed(batch_of_one(observation))
+        key = features.tobytes()
         if not self._sees_features:
-            return Answers(features)
-        return self._answers_by_features.setdefault(features.tobytes(), Answers(features))
+            return Answers(features, key)
+        return self._answers_by_features.setdefault(key, Answers(features, key))
 
-    def _computed_slots(self, observations: Observations, features: FloatArray | None = None) -> BoolArray:
+    def _computed_slots(self, observations: Observations) -> BoolArray:
         mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
+        features = None
         for slot in self.filled:
             option = cast("Option", self._slots[slot])
             if self._is_bound(option):

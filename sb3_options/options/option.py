@@ -240,12 +240,13 @@ class SubgoalOption(Option):
     def _forget_results(self) -> None:
         # By features, and by what π acts on. Copies that are bound to the φ of other environments share both.
         self._membership: KnownResults[np.bool_] = KnownResults()
+        self._members: dict[bytes, tuple[bool, bool]] = {}
         self._greedy: KnownResults[np.integer[Any]] = KnownResults()
 
     def bind(self, feature_map: FeatureMap | None) -> SubgoalOption:
         """Return the same option with φ set."""
         bound = replace(self, feature_map=feature_map)
-        bound._membership, bound._greedy = self._membership, self._greedy
+        bound._membership, bound._members, bound._greedy = self._membership, self._members, self._greedy
         return bound
 
     def initiation(self, observations: Observations) -> BoolArray:
@@ -271,6 +272,17 @@ class SubgoalOption(Option):
         """Return whether each row of φ (batch, d) lies in I, and in the subgoal, (batch, 2). Not to be changed."""
         return self._membership(self._membership_of, features)
 
+    def member(self, features: FloatArray, key: bytes) -> tuple[bool, bool]:
+        """Return `membership_at` of one row of φ, (1, d), looked up by its bytes."""
+        known = self._members.get(key)
+        if known is None:
+            if len(self._members) * (len(key) + CACHE_ENTRY_BYTES) > CACHE_BYTES:
+                self._members.clear()
+            row = features[0].tolist()
+            arrived = self.subgoal.contains_one(row)
+            known = self._members[key] = not arrived and self.initiation_set.contains_one(row), arrived
+        return known
+
     def _membership_of(self, features: Any) -> BoolArray:
         membership = np.empty((len(features), 2), dtype=bool)
         membership[:, 1] = self.subgoal.contains(features)
@@ -287,7 +299,7 @@ class SubgoalOption(Option):
         return self.known_features(observations)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_greedy")}
+        kept = {k: v for k, v in self.__dict__.items() if k not in ("_membership", "_members", "_greedy")}
         return {**kept, "known_features": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
