@@ -28,7 +28,7 @@ TASKS = {
     "BabyAI-KeyCorridorS4R3-v0": 300_000,
     "BabyAI-KeyCorridorS6R3-v0": 1_000_000,
     "MiniGrid-ObstructedMaze-1Dl-v0": 400_000,
-    "MiniGrid-ObstructedMaze-2Dlh-v0": 1_000_000,
+    "MiniGrid-ObstructedMaze-2Dlh-v0": 3_000_000,
     "MiniGrid-LockedRoom-v0": 300_000,
     "BabyAI-UnlockToUnlock-v0": 300_000,
 }
