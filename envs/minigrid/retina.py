@@ -6,11 +6,14 @@ agent stands in the middle of the last row and looks towards the first. Nothing 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from sb3_options.envs.minigrid.cells import COLOURS, DEPTH, OBJECTS
 
 WALL, FREE, DOOR, KEY, BALL, BOX, GOAL, LAVA = 2, (1, 3), 4, 5, 6, 7, 8, 9
 """Objects, numbered as in ``minigrid.core.constants.OBJECT_TO_IDX``; ``FREE`` is empty and floor."""
@@ -66,9 +69,12 @@ def _kinds() -> npt.NDArray[np.int8]:
     return kinds.ravel()
 
 
+_THINGS = (DOOR, KEY, BALL, BOX, GOAL, LAVA)
+_WALKED_ON = (*FREE, GOAL)
 _KIND_OF = _kinds()
+_KINDS_OF: list[int] = _KIND_OF.tolist()
 _IS_WALL = np.repeat(np.arange(256) == WALL, OBJECT_FACTOR)
-_IS_FREE = np.repeat(np.isin(np.arange(256), (*FREE, GOAL)), OBJECT_FACTOR) | (KINDS.index("open_door") == _KIND_OF)
+_IS_FREE = np.repeat(np.isin(np.arange(256), _WALKED_ON), OBJECT_FACTOR) | (KINDS.index("open_door") == _KIND_OF)
 _COLOURED = np.isin(np.arange(256), COLOURED)
 
 
@@ -109,13 +115,9 @@ def retina_of_codes(
     sight = _sight(view)
     # Of equal indices numpy assigns the last, so the farthest cells come first.
     kind = _KIND_OF.take(codes.take(sight.farthest_first, axis=1))
-    if n == 1:  # a step of an agent
-        row = kind.tobytes()
-        nearest = np.array([[n_cells - 1 - i if (i := row.rfind(of)) >= 0 else n_cells for of in range(N_KINDS)]])
-    else:
-        nearest = np.full((n, N_KINDS + 1), n_cells)
-        nearest[np.arange(n)[:, None], kind] = sight.countdown
-        nearest = nearest[:, :_NOTHING]
+    nearest = np.full((n, N_KINDS + 1), n_cells)
+    nearest[np.arange(n)[:, None], kind] = sight.countdown
+    nearest = nearest[:, :_NOTHING]
     if match is not None:
         match = match[..., sight.farthest_first[::-1]]
         found = np.where(match.any(axis=2), match.argmax(axis=2), n_cells)
@@ -133,6 +135,45 @@ def retina_of_codes(
     return features
 
 
+def retina_of_one(cells: bytes, view: int, size: int, asked: Iterable[Sequence[int]] = ()) -> npt.NDArray[np.float64]:
+    """Return the `retina` of one image, (1, size), for a step of an agent: numpy calls would take three times as long.
+
+    Args:
+        cells: The one-hot code of each cell, v² · `DEPTH` bytes.
+        view: The width v of the view in cells.
+        size: Number of features; those of things that the mission does not name are 0.
+        asked: Object and colour of the things that the mission names.
+    """
+    sight = _sight(view)
+    absent = view * view
+    nearest = [absent] * (N_KINDS + 1)
+    for thing in _THINGS:
+        for cell in _ones(cells[thing::DEPTH]):
+            first = cell * DEPTH + OBJECTS + COLOURS
+            kind = _KINDS_OF[thing * OBJECT_FACTOR + cells.find(1, first) - first]
+            nearest[kind] = min(nearest[kind], sight.ranks[cell])
+    row = [number for rank in nearest[:_NOTHING] for number in sight.rows[rank]]
+    ahead, left, right = (number * DEPTH for number in sight.neighbours)
+    is_free = any(cells[ahead + thing] for thing in _WALKED_ON)
+    is_open = cells[ahead + DOOR] and cells[ahead + OBJECTS + COLOURS + OPEN]
+    row += cells[ahead + WALL], is_free or is_open, cells[left + WALL] and cells[right + WALL]
+    for thing, colour in asked:
+        wanted = [each for each in COLOURED if thing in (0, each)] if colour >= 0 else []
+        found = _ones(cells[OBJECTS + colour :: DEPTH])
+        ranks = (sight.ranks[cell] for cell in found if any(cells[cell * DEPTH + each] for each in wanted))
+        row += sight.rows[min(ranks, default=absent)]
+    row += [0.0] * (size - len(row))
+    return np.array([row], dtype=np.float64)
+
+
+def _ones(code: bytes) -> Iterator[int]:
+    """Yield where a code of zeros and ones is 1."""
+    cell = code.find(1)
+    while cell >= 0:
+        yield cell
+        cell = code.find(1, cell + 1)
+
+
 class _Sight(NamedTuple):
     """The cells of a view.
 
@@ -141,12 +182,18 @@ class _Sight(NamedTuple):
         countdown: v² − 1, ..., 0: the number of each of these cells, counted from the nearest.
         places: Features of a thing in the cell of each such number, and of an absent one, (v² + 1, 3).
         around: Indices of the cells ahead, to the left and to the right.
+        ranks: Each cell's number among the nearest.
+        rows: ``places`` as lists.
+        neighbours: ``around`` as a list.
     """
 
     farthest_first: npt.NDArray[np.intp]
     countdown: npt.NDArray[np.intp]
     places: npt.NDArray[np.float64]
     around: npt.NDArray[np.intp]
+    ranks: list[int]
+    rows: list[list[float]]
+    neighbours: list[int]
 
 
 @lru_cache
@@ -159,7 +206,9 @@ def _sight(view: int) -> _Sight:
     around = np.array([middle * view + last - 1, (middle - 1) * view + last, (middle + 1) * view + last])
     places = np.zeros((view * view + 1, len(THING)))
     places[:-1] = np.stack([np.ones(view * view), forward[order], lateral[order]], axis=1)
-    return _Sight(order[::-1].copy(), np.arange(view * view)[::-1].copy(), places, around)
+    ranks = np.argsort(order).tolist()
+    countdown = np.arange(view * view)[::-1].copy()
+    return _Sight(order[::-1].copy(), countdown, places, around, ranks, places.tolist(), around.tolist())
 
 
 def _asked(objects: npt.NDArray[Any], colours: npt.NDArray[Any], asked: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

@@ -21,6 +21,7 @@ from sb3_options.envs.minigrid.retina import (
     feature_names,
     retina,
     retina_of_codes,
+    retina_of_one,
 )
 from sb3_options.envs.minigrid.view import see_quickly
 
@@ -166,7 +167,7 @@ def _features(cells: npt.NDArray[np.uint8], named: Sequence[bytes], view: int, s
 @lru_cache(maxsize=1 << 14)
 def _features_of_one(cells: bytes, named: tuple[bytes, ...], view: int, size: int) -> npt.NDArray[np.float64]:
     """Return `_features` of one observation, cached: parallel environments often see the same."""
-    return _features(np.frombuffer(cells, np.uint8)[None], named, view, size)
+    return retina_of_one(cells, view, size, things_of(named)[0].tolist() if named else ())
 
 
 _EYES = tuple(np.eye(n, dtype=np.uint8) for n in (OBJECTS, COLOURS, STATES))

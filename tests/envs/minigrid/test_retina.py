@@ -51,13 +51,6 @@ def test_features_by_name(things: dict[tuple[int, int], tuple[int, int]], expect
     assert seen(image(things, view=9)) == expected
 
 
-def test_one_image_has_the_features_that_it_has_among_many() -> None:
-    rng = np.random.default_rng(0)
-    many = rng.integers((11, 6, 3), size=(500, 7, 7, 3))
-    many[..., 0][rng.random((500, 7, 7)) < 0.9] = EMPTY
-    np.testing.assert_array_equal([retina(one[None])[0] for one in many], retina(many))
-
-
 def test_it_agrees_with_what_lies_in_the_grid() -> None:
     """The view is turned towards where the agent looks: what is ahead is at forward 1, lateral 0."""
     env: Any = gym.make("MiniGrid-DoorKey-5x5-v0").unwrapped

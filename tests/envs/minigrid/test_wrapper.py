@@ -14,7 +14,7 @@ from stable_baselines3 import PPO
 
 from sb3_options import OptionsWrapper
 from sb3_options.envs.minigrid import FEATURES, MiniGridWrapper, make, retina
-from sb3_options.envs.minigrid.cells import OBJECTS
+from sb3_options.envs.minigrid.cells import OBJECTS, STATES
 from sb3_options.envs.minigrid.cnn import MiniGridCNN
 from sb3_options.envs.minigrid.instructions import BEGINS, WORDS, Instructions
 from sb3_options.envs.minigrid.missions import COLOURS, Missions, things_of
@@ -118,6 +118,20 @@ def test_what_the_mission_asks_for_is_told_by_colour() -> None:
     assert env.concept_groups()[-1]["name"] == "asked"
     assert env.concept_groups()[-1]["seen"]["coordinates"] == [28, 29]
     assert make("MiniGrid-Fetch-8x8-N3-v0", asked=False).feature_names == FEATURES
+
+
+@pytest.mark.parametrize("view", [3, 7])
+@pytest.mark.parametrize("env_id", ["MiniGrid-Empty-5x5-v0", "MiniGrid-Fetch-8x8-N3-v0", "MiniGrid-PutNear-6x6-N2-v0"])
+def test_one_observation_has_the_features_that_it_has_among_many(env_id: str, view: int) -> None:
+    env = make(env_id, agent_view_size=view)
+    rng = np.random.default_rng(0)
+    images = rng.integers((OBJECTS, len(COLOURS), STATES), size=(1000, view, view, 3)).astype(np.uint8)
+    images[..., 0][rng.random((1000, view, view)) < 0.7] = 1  # empty
+    cells = env.get_wrapper_attr("vectors")(images)
+    words = np.array([env.reset(seed=seed)[0][cells.shape[1] :] for seed in range(20)]).repeat(50, axis=0)
+    many = np.concatenate([cells, words], axis=1)
+    features = env.get_wrapper_attr("concept_features")
+    np.testing.assert_array_equal(np.concatenate([features(one[None]) for one in many]), features(many))
 
 
 def test_features_are_the_same_in_every_task() -> None:
