@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from itertools import groupby
-from typing import Any
 
 import numpy as np
 import torch
 
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options.imagined import imagined_farther
 from sb3_options.options.option import SubgoalOption
@@ -20,7 +17,6 @@ from sb3_options.options.reach import reliable_part
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Transitions, initiation_set, transitions_to
-from sb3_options.state import restore, state_of
 
 MIN_REACH = 0.5
 """Least probability, by the saved steps, of reaching the subgoal from a state of I on a group of features."""
@@ -99,8 +95,6 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
     return replace(option, initiation_set=there, option_policy=TabularPolicy(states, values))
 
 
-WAITING = 32  # most trajectories that wait to be counted
-WAITING_STATES = 4096  # and most of their states, but for the last trajectory
 FIRST_GROWTH = 5  # an adopted option counts as made from this many trajectories
 
 
@@ -116,22 +110,9 @@ class OptionGrowth:
     def __init__(self) -> None:
         self._reached: dict[int, int] = {}
         self._learned_from: dict[int, int] = {}
-        self._waiting: dict[int, list[tuple[Region, FloatArray]]] = {}  # subgoal and features, not yet counted
-
-    def get_state(self) -> dict[str, Any]:
-        """Return the state for a checkpoint, in which no trajectory waits."""
-        for slot in list(self._waiting):
-            self._count(slot)
-        return state_of(self)
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Restore a state from `get_state`."""
-        self._waiting.clear()
-        restore(self, state)
 
     def made(self, slot: int, subgoal: Region, trajectories: Iterable[LabelledTrajectory]) -> None:
         """Count the ``trajectories`` that the option in ``slot`` was made from."""
-        self._waiting.pop(slot, None)
         reached = sum(bool(subgoal.contains(each.features).any()) for each in trajectories)
         self._reached[slot] = self._learned_from[slot] = reached
 
@@ -144,7 +125,6 @@ class OptionGrowth:
         """Stop counting for a closed option."""
         self._reached.pop(slot, None)
         self._learned_from.pop(slot, None)
-        self._waiting.pop(slot, None)
 
     def is_due(self, slot: int, subgoal: Region, trajectory: LabelledTrajectory) -> bool:
         """Count a trajectory, and return whether the option in ``slot`` is to be relearned: at every doubling.
@@ -153,22 +133,8 @@ class OptionGrowth:
         """
         if slot not in self._reached:
             return False
-        waiting = self._waiting.setdefault(slot, [])
-        waiting.append((subgoal, trajectory.features))
-        due = 2 * self._learned_from[slot]
-        few = len(waiting) < WAITING and sum(len(features) for _, features in waiting) < WAITING_STATES
-        if few and len(waiting) < due - self._reached[slot]:  # too few even if all of them reached it
-            return False
-        self._count(slot)
-        if self._reached[slot] < due:
+        self._reached[slot] += bool(np.any(subgoal.contains(trajectory.features)))
+        if self._reached[slot] < 2 * self._learned_from[slot]:
             return False
         self._learned_from[slot] = self._reached[slot]
         return True
-
-    def _count(self, slot: int) -> None:
-        """Count the trajectories that wait. Counting them together takes a fraction of the time."""
-        waiting = self._waiting.pop(slot, [])
-        for _, alike in groupby(waiting, key=lambda each: id(each[0])):  # the subgoal moves when φ is learned anew
-            (subgoal, *_), features = zip(*alike, strict=True)
-            first = np.cumsum([0, *map(len, features[:-1])])
-            self._reached[slot] += int(np.logical_or.reduceat(subgoal.contains(np.concatenate(features)), first).sum())

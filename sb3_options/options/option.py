@@ -45,24 +45,8 @@ class KnownResults(Generic[Result]):
         self, compute: Callable[[Observations], npt.NDArray[Result]], observations: Observations
     ) -> npt.NDArray[Result]:
         """Return the result of ``compute``, always the same function, (batch, ...). Only copies may be changed."""
-        array = observations if type(observations) is np.ndarray else None  # without calls: this runs in every step
-        n = obs_batch.batch_size(observations) if array is None else len(array)
-        if self._gave_up or not 1 <= n <= CACHE_BATCH:
+        if self._gave_up or not 1 <= obs_batch.batch_size(observations) <= CACHE_BATCH:
             return compute(observations)
-        if n > 1:
-            return self._of_batch(compute, observations)
-        key = obs_batch.key_of(observations) if array is None else array.tobytes()
-        row = self._rows.get(key)
-        if row is not None:
-            self._hits += 1
-            return self._results[row : row + 1]
-        result = compute(observations)
-        self._keep([key], result)
-        return result
-
-    def _of_batch(
-        self, compute: Callable[[Observations], npt.NDArray[Result]], observations: Observations
-    ) -> npt.NDArray[Result]:
         keys = obs_batch.keys_of(observations)
         rows: list[Any] = list(map(self._rows.get, keys))
         if None not in rows:

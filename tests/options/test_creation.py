@@ -9,7 +9,7 @@ from sb3_options.density.regions import Region
 from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.options import creation
-from sb3_options.options.creation import FIRST_GROWTH, WAITING_STATES, OptionGrowth, joined, learn_option
+from sb3_options.options.creation import OptionGrowth, joined, learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
@@ -147,27 +147,6 @@ def test_due_at_every_doubling_of_what_reached_the_subgoal() -> None:
     assert due == [False, False, True, False, False, False, True]
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_counting_late_and_checkpoints_change_nothing(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    reached, learned_from, growth = 0, FIRST_GROWTH, OptionGrowth()
-    growth.adopted(0)
-    subgoal = ball(2.0)
-    for _ in range(300):
-        trajectory = line(list(np.cumsum(rng.integers(-1, 2, rng.integers(2, 9)))))
-        if rng.random() < 0.1:
-            subgoal = ball(float(rng.integers(0, 4)))
-        if rng.random() < 0.1:
-            state = growth.get_state()
-            assert state["_reached"] == {0: reached}
-            growth = OptionGrowth()
-            growth.set_state(state)
-        reached += bool(subgoal.contains(trajectory.features).any())
-        due = reached >= 2 * learned_from
-        learned_from = reached if due else learned_from
-        assert growth.is_due(0, subgoal, trajectory) == due
-
-
 def test_an_adopted_option_is_learned_anew_once_enough_reach_it_here() -> None:
     growth = OptionGrowth()
     growth.adopted(0)
@@ -195,21 +174,6 @@ def test_joined_options_start_where_either_does_and_act_as_the_later_one_where_i
         learned(2, 3, 4, 5), option_policy=NetworkPolicy(np.zeros(1), np.ones(1), [np.eye(1, 2)], [np.zeros(2)])
     )
     assert joined(network, later) is network
-
-
-def test_an_option_in_a_slot_that_was_taken_out_counts_from_its_own_trajectories() -> None:
-    growth, subgoal = OptionGrowth(), ball(2.0)
-    growth.adopted(0)
-    assert not any(growth.is_due(0, subgoal, REACHES) for _ in range(9))
-    growth.made(0, subgoal, [REACHES] * 3)
-    assert [growth.is_due(0, subgoal, REACHES) for _ in range(3)] == [False, False, True]
-
-
-def test_long_trajectories_are_counted_early() -> None:
-    growth = OptionGrowth()
-    growth.adopted(0)
-    growth.is_due(0, ball(2.0), line(list(range(WAITING_STATES))))
-    assert not growth._waiting
 
 
 def test_a_closed_option_does_not_grow() -> None:
