@@ -38,14 +38,12 @@ class Answers:
         features: φ, (1, d); None if an option is hand-made.
         key: Bytes of φ.
         available: Which options may start, (max_options,).
-        memberships: By slot: whether the observation lies in I, and β there.
         actions: By slot: the primitive action of π.
     """
 
     features: FloatArray | None = None
     key: bytes = b""
     available: BoolArray | None = None
-    memberships: dict[int, tuple[bool, float]] = field(default_factory=dict)
     actions: dict[int, int] = field(default_factory=dict)
 
 
@@ -174,17 +172,12 @@ class OptionBank:
     def membership(self, slot: int, observation: Any) -> tuple[bool, float]:
         """Return whether one observation lies in I of the option in a slot, and β there."""
         answers = self._answers_at(observation)
-        known = answers.memberships.get(slot)
-        if known is None:
-            option = cast("Option", self._slots[slot])
-            if answers.features is None:
-                initiation, termination = option.membership(batch_of_one(observation))
-                known = bool(initiation[0]), float(termination[0])
-            else:
-                inside, arrived = cast("SubgoalOption", option).member(answers.features, answers.key)
-                known = inside, float(arrived)
-            answers.memberships[slot] = known
-        return known
+        option = cast("Option", self._slots[slot])
+        if answers.features is None:
+            initiation, termination = option.membership(batch_of_one(observation))
+            return bool(initiation[0]), float(termination[0])
+        inside, arrived = cast("SubgoalOption", option).member(answers.features, answers.key)
+        return inside, float(arrived)
 
     def action(self, slot: int, observation: Any) -> int:
         """Return the primitive action in one observation of the option in a slot."""
