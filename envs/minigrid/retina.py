@@ -150,7 +150,7 @@ def retina_of_one(cells: bytes, view: int, size: int, asked: Iterable[Sequence[i
     for thing in _THINGS:
         for cell in _ones(cells[thing::DEPTH]):
             first = cell * DEPTH + OBJECTS + COLOURS
-            kind = _KINDS_OF[thing * OBJECT_FACTOR + cells.find(1, first) - first]
+            kind = _KINDS_OF[thing * OBJECT_FACTOR + cells.index(1, first) - first]
             nearest[kind] = min(nearest[kind], sight.ranks[cell])
     row = [number for rank in nearest[:_NOTHING] for number in sight.rows[rank]]
     ahead, left, right = (number * DEPTH for number in sight.neighbours)

@@ -167,6 +167,9 @@ def _features(cells: npt.NDArray[np.uint8], named: Sequence[bytes], view: int, s
 @lru_cache(maxsize=1 << 14)
 def _features_of_one(cells: bytes, named: tuple[bytes, ...], view: int, size: int) -> npt.NDArray[np.float64]:
     """Return `_features` of one observation, cached: parallel environments often see the same."""
+    n_cells = view * view
+    if cells.count(1) != 3 * n_cells or cells.count(0) != (DEPTH - 3) * n_cells:  # not of MiniGrid, such as a sample
+        return _features(np.frombuffer(cells, np.uint8)[None], named, view, size)
     return retina_of_one(cells, view, size, things_of(named)[0].tolist() if named else ())
 
 

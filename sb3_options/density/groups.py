@@ -76,15 +76,17 @@ class FeatureGroup:
 
     def own(self, features: FloatArray) -> FloatArray:
         """Return the group's own features (batch, k) from all features (batch, d)."""
-        if self._last >= features.shape[1]:
-            raise ValueError(
-                f"group {self.name!r} names feature {self._last}, the feature map gives {features.shape[1]}"
-            )
+        self._check_width(features.shape[1])
         return features.take(self._columns, axis=1)
 
     def own_of_one(self, features: list[float]) -> list[float]:
         """Return the group's own features of one row."""
+        self._check_width(len(features))
         return [features[number] for number in self.features]
+
+    def _check_width(self, d: int) -> None:
+        if self._last >= d:
+            raise ValueError(f"group {self.name!r} names feature {self._last}, the feature map gives {d}")
 
     def told(self, point: FloatArray) -> str | None:
         """Describe a point (k,) by the labels of its features; None without labels."""

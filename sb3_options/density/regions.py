@@ -13,6 +13,9 @@ from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.state import storable
 
+MOST = 2.0**40
+"""Whole numbers below this one keep their distance when they are scaled, in spite of rounding."""
+
 
 @cache
 def _cdist() -> Callable[[FloatArray, FloatArray], FloatArray]:
@@ -70,6 +73,8 @@ class Region:
     def _covers_one(self, point: list[float]) -> bool:
         if self.normal is not None:
             return bool(self.covers(np.array([point]))[0])
+        if len(self.points) == 0:
+            return False
         scaled = tuple([x * factor for x, factor in zip(point, self._factors, strict=True)])
         if scaled in self._centres:
             return True
@@ -94,7 +99,8 @@ class Region:
     @cached_property
     def _apart(self) -> bool:
         """Whether the centres are whole numbers, and other whole numbers farther from them than the radius."""
-        return bool((self.points % 1 == 0).all()) and self.radius < 0.999 * min(self._factors)
+        whole = np.array_equal(self.points, np.round(self.points)) and bool(np.abs(self.points).max() < MOST)
+        return whole and self.radius < 0.999 * min(self._factors)
 
     @cached_property
     def _factors(self) -> list[float]:

@@ -42,7 +42,7 @@ from sb3_options.experience.option_run import OptionRun, RunInfo, Termination
 from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.success import success_in
 from sb3_options.experience.trajectories import Trajectory
-from sb3_options.options.bank import primitives_of
+from sb3_options.options.bank import checked_actions
 from sb3_options.options.option import Option
 
 Infos: TypeAlias = list[dict[str, Any]]
@@ -221,7 +221,8 @@ class OptionsVecEnv(VecEnvWrapper):
         self._actions = np.where(self._instead, slots % self.n_primitive, actions) if chosen else actions.copy()
         self._groups = self._by_option()
         for option, envs in self._groups:
-            self._actions[envs] = primitives_of(option, take(self._observations, envs), self.n_primitive)
+            actions = option.policy(take(self._observations, envs))
+            self._actions[envs] = checked_actions(option, actions, self.n_primitive)
         self.venv.step_async(self._actions)
 
     def _start(self, slot: int, envs: IntArray) -> None:

@@ -358,7 +358,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
 
     def _available_slots(self, arrived_in: Sequence[Any]) -> BoolArray:
         """Return which slots may start in each observation; in the last, the present one, runs and masks count too."""
-        available = np.array([self.bank.available_at(observation) for observation in arrived_in])
+        available: BoolArray = self.bank.available_in(arrived_in)
         self._forbid_now(available[-1])
         return available
 

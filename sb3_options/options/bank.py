@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, TypeGuard, cast
 
@@ -20,6 +21,7 @@ from sb3_options.experience.observations import (
     batch_of_one,
     batch_size,
     key_of,
+    stack,
 )
 from sb3_options.options.archive import Source
 from sb3_options.options.file import MAX_SLOTS, OptionsFile, SpaceSignature, check_signature, content_of, opened
@@ -27,7 +29,7 @@ from sb3_options.options.option import CACHE_BYTES, KnownFeatures, KnownResults,
 from sb3_options.options.sealed import errors_of
 
 ANSWERS_BYTES = 600
-"""Memory of `Answers` and their entries, besides the observation; approximate."""
+"""Memory of `Answers` and their entries, besides the observation and its features; approximate."""
 
 
 @dataclass(slots=True)
@@ -35,14 +37,14 @@ class Answers:
     """Answers of the options of a bank at one observation, each computed when it is first asked for.
 
     Attributes:
-        features: φ, (1, d); None if an option is hand-made.
         key: Bytes of φ.
+        features: φ, (1, d), in the memory of ``key``; None if an option is hand-made.
         available: Which options may start, (max_options,).
         actions: By slot: the primitive action of π.
     """
 
-    features: FloatArray | None = None
     key: bytes = b""
+    features: FloatArray | None = None
     available: BoolArray | None = None
     actions: dict[int, int] = field(default_factory=dict)
 
@@ -145,27 +147,39 @@ class OptionBank:
 
     def available_slots(self, observations: Observations) -> BoolArray:
         """Return which options may start in each observation, shape (batch, max_options)."""
-        if self._by_data:
+        if self._is_by_data():
             return self._known(self._computed_slots, observations).copy()
         return self._computed_slots(observations)
 
+    def available_in(self, observations: Sequence[Any]) -> BoolArray:
+        """`available_slots` of single observations, each looked up for itself."""
+        if not self._is_by_data():
+            return self._computed_slots(stack(list(observations)))
+        answers = list(map(self._answers_at, observations))
+        new = [each for each in answers if each.available is None]
+        if new:
+            features = np.concatenate([cast("FloatArray", each.features) for each in new])
+            for each, available in zip(new, self._slots_at(features), strict=True):
+                each.available = available
+        return np.array([each.available for each in answers])
+
     def available_at(self, observation: Any) -> BoolArray:
         """Return which options may start in one observation, shape (max_options,). Not to be changed."""
+        if not self._is_by_data():
+            (available_here,) = self._computed_slots(batch_of_one(observation))
+            return np.asarray(available_here)
         answers = self._answers_at(observation)
         if answers.available is None:
-            if answers.features is None:
-                answers.available = self._computed_slots(batch_of_one(observation))[0]
-            else:
-                available = [False] * self.max_options
-                for slot in self.filled:
-                    option = cast("SubgoalOption", self._slots[slot])
-                    available[slot] = option.member(answers.features, answers.key)[0]
-                answers.available = np.array(available)
+            available = [False] * self.max_options
+            for slot in self.filled:
+                option = cast("SubgoalOption", self._slots[slot])
+                available[slot] = option.member(cast("FloatArray", answers.features), answers.key)[0]
+            answers.available = np.array(available)
         return answers.available
 
     def may_start(self, slot: int, observation: Any) -> bool:
         """Return whether one observation lies in I of the option in a slot."""
-        if self._by_data:
+        if self._is_by_data():
             return bool(self.available_at(observation)[slot])
         return bool(cast("Option", self._slots[slot]).initiation(batch_of_one(observation))[0])
 
@@ -185,28 +199,29 @@ class OptionBank:
         known = answers.actions.get(slot)
         if known is None:
             option = cast("Option", self._slots[slot])
-            known = int(primitives_of(option, batch_of_one(observation), self.n_primitive)[0])
-            answers.actions[slot] = known
+            if answers.features is not None and cast("SubgoalOption", option).policy_input == "features":
+                actions = cast("SubgoalOption", option).policy_at(answers.features)
+            else:
+                actions = option.policy(batch_of_one(observation))
+            known = answers.actions[slot] = int(checked_actions(option, actions, self.n_primitive)[0])
         return known
 
     def _answers_at(self, observation: Any) -> Answers:
-        if not self._by_data:
-            return Answers()  # a hand-made option may have a memory
+        if not self._is_by_data():
+            return Answers()
         key = key_of(observation)
         answers = self._answers.get(key)
         if answers is None:
-            if len(self._answers) * (len(key) + ANSWERS_BYTES) > CACHE_BYTES:
-                self._answers.clear()
-                self._answers_by_features.clear()
+            if self._answers_bytes > CACHE_BYTES:
+                self._forget_answers()
             answers = self._answers[key] = self._new_answers(observation)
+            self._answers_bytes += len(key) + len(answers.key) + ANSWERS_BYTES
         return answers
 
     def _new_answers(self, observation: Any) -> Answers:
-        features = cast("KnownFeatures", self._shared).computed(batch_of_one(observation))
-        key = features.tobytes()
-        if not self._sees_features:
-            return Answers(features, key)
-        return self._answers_by_features.setdefault(key, Answers(features, key))
+        key = cast("KnownFeatures", self._shared).computed(batch_of_one(observation)).tobytes()
+        answers = Answers(key, np.frombuffer(key)[None])
+        return self._answers_by_features.setdefault(key, answers) if self._sees_features else answers
 
     def _computed_slots(self, observations: Observations) -> BoolArray:
         mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
@@ -220,17 +235,36 @@ class OptionBank:
                 mask[:, slot] = option.initiation(observations)
         return mask
 
+    def _slots_at(self, features: FloatArray) -> BoolArray:
+        """Return which options, all of data, may start at each row of φ, (batch, max_options)."""
+        mask = np.zeros((len(features), self.max_options), dtype=bool)
+        for slot in self.filled:
+            mask[:, slot] = cast("SubgoalOption", self._slots[slot]).membership_at(features)[:, 0]
+        return mask
+
     def _is_bound(self, option: Option | None) -> TypeGuard[SubgoalOption]:
         """Whether an option consists of data and acts on the bank's φ."""
         return isinstance(option, SubgoalOption) and option.known_features is self._shared is not None
 
+    def _is_by_data(self) -> bool:
+        """Whether all options are made of data only, so that results may be kept: a hand-made one may have a memory."""
+        if self._by_data and cast("KnownFeatures", self._shared).scale is not self._scale:
+            self._forget_results()  # the feature map was learned anew
+        return self._by_data
+
     def _forget_results(self) -> None:
         options = [self._slots[slot] for slot in self.filled]
-        self._by_data = self.filled != () and all(map(self._is_bound, options))  # a hand-made option may have a memory
+        own = all(type(option) is SubgoalOption and self._is_bound(option) for option in options)
+        self._by_data = self.filled != () and own
         self._sees_features = all(getattr(option, "policy_input", None) == "features" for option in options)
+        self._scale = None if self._shared is None else self._shared.scale
         self._known: KnownResults[np.bool_] = KnownResults()
+        self._forget_answers()
+
+    def _forget_answers(self) -> None:
         self._answers: dict[bytes, Answers] = {}
         self._answers_by_features: dict[bytes, Answers] = {}
+        self._answers_bytes = 0
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the discovered options to a safetensors file, atomically: arrays and JSON, nothing that can run.
@@ -305,6 +339,7 @@ class OptionBank:
             "_known": KnownResults(),
             "_answers": {},
             "_answers_by_features": {},
+            "_answers_bytes": 0,
         }
 
     def check_slot(self, slot: int) -> None:
@@ -313,9 +348,8 @@ class OptionBank:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
 
 
-def primitives_of(option: Option, observations: Observations, n_primitive: int) -> IntArray:
-    """Return the primitive actions that an option's policy takes, (batch,)."""
-    actions = option.policy(observations)
+def checked_actions(option: Option, actions: IntArray, n_primitive: int) -> IntArray:
+    """Return the actions of an option's policy, (batch,), if all are primitive."""
     for action in actions.tolist():
         if not 0 <= action < n_primitive:
             raise ValueError(

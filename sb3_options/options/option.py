@@ -89,11 +89,16 @@ class KnownFeatures:
 
     def _forget(self) -> None:
         self._known: KnownResults[np.float64] = KnownResults()
-        self._scale = None if self._learned is None else self._learned.scale
+        self._known_at = self.scale
+
+    @property
+    def scale(self) -> FloatArray | None:
+        """Scale of a learned map, another array each time that it changes; None for other maps."""
+        return None if self._learned is None else self._learned.scale
 
     def __call__(self, observations: Observations) -> FloatArray:
         """Return φ of a batch of observations, (batch, d). Not to be changed."""
-        if self._learned is not None and self._learned.scale is not self._scale:  # it has another one when it changes
+        if self.scale is not self._known_at:
             self._forget()
         return self._known(self.computed, observations)
 
@@ -240,8 +245,12 @@ class SubgoalOption(Option):
     def policy(self, observations: Observations) -> IntArray:
         """Return the greedy action of the option's value function, shape (batch,)."""
         if self.policy_input == "features":
-            observations = self.initiation_set.own(self.features(observations))
+            return self.policy_at(self.features(observations))
         return self._greedy(self.option_policy.actions, observations).copy()
+
+    def policy_at(self, features: FloatArray) -> IntArray:
+        """Return `policy` from φ, (batch, d), if that is what it sees."""
+        return self._greedy(self.option_policy.actions, self.initiation_set.own(features)).copy()
 
     def termination(self, observations: Observations) -> FloatArray:
         """Return 1 at the subgoal, else 0, shape (batch,)."""

@@ -1,9 +1,13 @@
 """Whether places lie in regions: one place at a time gives what many give at once."""
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
+from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 
 
@@ -22,6 +26,22 @@ def test_one_place_is_as_one_of_many(
     if n_centres:
         nearest = cdist(places * region.scale, region.points * region.scale).min(axis=1)
         np.testing.assert_array_equal(whole, nearest <= region.radius)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int64])
+@pytest.mark.parametrize("kind", ["balls", "half-space", "nothing"])
+def test_one_place_of_a_group_is_as_one_of_many(kind: str, dtype: type[Any], rng: np.random.Generator) -> None:
+    group = FeatureGroup("g", (3, 1), present=((3,), (1, 3)), scale=(2.0, 0.5))
+    centres = rng.integers(-2, 3, size=(0 if kind == "nothing" else 4, 2)).astype(float)
+    normal = np.array([1.0, -0.5]) if kind == "half-space" else None
+    region = Region(centres, np.array([2.0, 0.5]), 0.4, group=group, normal=normal)
+    places = rng.integers(-2, 3, size=(300, 5)).astype(dtype)
+    whole = region.contains(places)
+    assert [bool(region.contains(place[None])[0]) for place in places] == whole.tolist()
+    assert 0 < whole.sum() < 300 or kind == "nothing"
+    for n in (1, 2):
+        with pytest.raises(ValueError, match="group 'g' names feature 3, the feature map gives 3"):
+            dataclasses.replace(region, group=dataclasses.replace(group, present=())).contains(places[:n, :3])
 
 
 def test_a_place_on_the_edge() -> None:

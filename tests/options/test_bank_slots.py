@@ -2,16 +2,24 @@
 
 import dataclasses
 import pickle
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
-from sb3_options.experience.observations import flatten
+from sb3_options.density.regions import Region
+from sb3_options.embedding.encoders import ObservationForm
+from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.experience.observations import FloatArray, Observations, flatten
 from sb3_options.options.bank import OptionBank
+from sb3_options.options.option import SubgoalOption
+from sb3_options.options.policies import TabularPolicy
 from tests.options.banks import (
     CAPACITY,
     N_PRIMITIVE,
     OBSERVATIONS,
+    SIZE,
     behaviour,
     empty_bank,
     filled_bank,
@@ -19,6 +27,10 @@ from tests.options.banks import (
     table,
 )
 from tests.support.helpers import steady_option
+
+
+def last_two(observations: Observations) -> FloatArray:
+    return flatten(observations)[:, 1:]
 
 
 class TestSlots:
@@ -60,31 +72,76 @@ class TestSlots:
             np.testing.assert_array_equal(one_by_one[::2], bank.available_slots(OBSERVATIONS)[:300])
             np.testing.assert_array_equal(one_by_one[1::2], one_by_one[::2])
 
+    @pytest.mark.parametrize("room", [None, 50 * 600], ids=["with room", "without room for all"])
     @pytest.mark.parametrize("sees", ["observation", "features", "both", "hand-made"])
-    def test_one_observation_is_answered_as_the_options_themselves_answer(
-        self, sees: str, monkeypatch: pytest.MonkeyPatch
+    def test_one_observation_is_answered_as_many_are(
+        self, sees: str, room: int | None, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("sb3_options.options.bank.CACHE_BYTES", 50 * 600)  # not all have room
+        if room is not None:
+            monkeypatch.setattr("sb3_options.options.bank.CACHE_BYTES", room)
         # The third number is no feature, so many observations have the same features.
         coarse = np.concatenate([OBSERVATIONS[:200, :2].round(), OBSERVATIONS[:200, 2:].round(1)], axis=1)
+        on_features = [dataclasses.replace(table(seed, size=2), policy_input="features") for seed in (0, 7)]
         bank = filled_bank() if sees == "observation" else empty_bank()
         if sees != "observation":
-            bank.add(dataclasses.replace(table(size=2), policy_input="features"), 0)
+            bank.add(on_features[0], 0)
         if sees == "both":
             bank.add(table(), 1)
         if sees == "hand-made":
             bank.add(steady_option(), 2)
-        for change in (lambda: None, lambda: bank.add(dataclasses.replace(table(7, size=2), policy_input="features"))):
+        changes: list[Callable[[], object]] = [
+            lambda: None,
+            lambda: bank.add(on_features[1], 4),
+            lambda: bank.add(on_features[0], 4),
+            lambda: bank.bind(last_two),
+            lambda: bank.remove(4),
+        ]
+        for change in changes:
             change()
-            for observation in coarse:
-                one = observation[None]
-                np.testing.assert_array_equal(bank.available_at(observation), bank.available_slots(one)[0])
-                for slot in bank.filled:
-                    option = bank[slot]
-                    assert option is not None
-                    assert bank.membership(slot, observation) == (option.initiation(one)[0], option.termination(one)[0])
-                    assert bank.may_start(slot, observation) == option.initiation(one)[0]
-                    assert bank.action(slot, observation) == option.policy(one)[0]
+            expected = bank.available_slots(coarse)
+            np.testing.assert_array_equal(bank.available_in(list(coarse)), expected)
+            members = {slot: option.membership(coarse) for slot in bank.filled if (option := bank[slot])}
+            actions = {slot: option.policy(coarse) for slot in bank.filled if (option := bank[slot])}
+            for i, observation in enumerate(coarse):
+                np.testing.assert_array_equal(bank.available_at(observation), expected[i])
+                for slot, (initiation, termination) in members.items():
+                    assert bank.membership(slot, observation) == (initiation[i], termination[i])
+                    assert bank.may_start(slot, observation) == initiation[i]
+                    assert bank.action(slot, observation) == actions[slot][i]
+
+    def test_answers_follow_a_map_that_is_learned_anew(self) -> None:
+        learned, other = (LearnedMap(ObservationForm("vector", (SIZE,)), seed) for seed in (0, 5))
+        here = OBSERVATIONS[0]
+        there = learned(here[None])
+        scales = np.full(there.shape[1], 1e6)
+        policy = TabularPolicy(np.zeros((1, SIZE)), np.zeros((1, N_PRIMITIVE)))
+        bank = empty_bank(feature_map=learned, feature_size=None)
+        bank.add(SubgoalOption(Region(there + 9.0, scales, 0.5), Region(there, scales, 0.5), policy), 0)
+        assert bank.may_start(0, here)
+        learned.load(other.arrays())
+        assert not bank.may_start(0, here)
+        assert not bank.membership(0, here)[0]
+        assert not bank.available_slots(here[None]).any()
+
+    def test_answers_to_observations_with_many_features_take_no_more_memory(self) -> None:
+        bank = OptionBank(
+            N_PRIMITIVE, 1, feature_map=lambda observations: np.eye(4000)[np.asarray(observations).ravel()]
+        )
+        scales, policy = np.ones(4000), TabularPolicy(np.zeros((1, 1)), np.zeros((1, N_PRIMITIVE)))
+        bank.add(SubgoalOption(Region(np.eye(4000)[:1], scales, 0.5), Region(np.eye(4000)[1:3], scales, 0.5), policy))
+        for number in range(600):
+            assert bank.available_at(np.array(number)).tolist() == [number in (1, 2)]
+        assert len(bank._answers) < 300
+
+    def test_a_subclass_answers_for_itself(self) -> None:
+        class Ends(SubgoalOption):
+            def membership(self, observations: Any) -> Any:
+                return np.ones(len(observations), dtype=bool), np.ones(len(observations))
+
+        bank = empty_bank()
+        one = table()
+        bank.add(Ends(one.subgoal, one.initiation_set, one.option_policy), 0)
+        assert {bank.membership(0, observation) for observation in OBSERVATIONS[:50]} == {(True, 1.0)}
 
     def test_available(self) -> None:
         bank = filled_bank()

@@ -132,6 +132,8 @@ def test_one_observation_has_the_features_that_it_has_among_many(env_id: str, vi
     many = np.concatenate([cells, words], axis=1)
     features = env.get_wrapper_attr("concept_features")
     np.testing.assert_array_equal(np.concatenate([features(one[None]) for one in many]), features(many))
+    other = rng.integers(0, 2, size=(100, many.shape[1])).astype(np.uint8)  # no views of MiniGrid
+    np.testing.assert_array_equal(np.concatenate([features(one[None]) for one in other]), features(other))
 
 
 def test_features_are_the_same_in_every_task() -> None:
