@@ -153,6 +153,8 @@ class OptionBank:
 
     def available_in(self, observations: Sequence[Any]) -> BoolArray:
         """`available_slots` of single observations, each looked up for itself."""
+        if len(observations) == 1:
+            return np.array([self.available_at(observations[0])])
         if not self._is_by_data():
             return self._computed_slots(stack(list(observations)))
         answers = list(map(self._answers_at, observations))
