@@ -51,7 +51,7 @@ class Benchmark:
 
     out: Path
     families: str = "MultiRoom-4,KeyCorridor"
-    frames: int = 60_000
+    frames: int = 200_000
     seed: int = 0
 
 

@@ -101,7 +101,7 @@ def retina(
 
 
 def retina_of_codes(
-    codes: npt.NDArray[np.intp], view: int, match: npt.NDArray[np.bool_] | None = None, size: int = 0
+    codes: npt.NDArray[np.intp], view: int, match: npt.NDArray[np.bool_] | None = None
 ) -> npt.NDArray[np.float64]:
     """Return the `retina` of the codes of cells, (batch, v²).
 
@@ -109,7 +109,6 @@ def retina_of_codes(
         codes: Of each cell in view, `OBJECT_FACTOR` times its object plus its state, (batch, v²).
         view: The width v of the view in cells.
         match: Which cells hold the things that each mission names, (batch, k, v²).
-        size: Least number of features; those of things that no mission names are 0.
     """
     n, n_cells = codes.shape
     sight = _sight(view)
@@ -125,10 +124,9 @@ def retina_of_codes(
     things = sight.places.take(nearest, axis=0).reshape(n, len(THING) * nearest.shape[1])
     ahead, left, right = codes.take(sight.around, axis=1).T
     first = len(THING) * N_KINDS
-    features = np.zeros((n, max(size, things.shape[1] + len(AHEAD))))
+    features = np.empty((n, things.shape[1] + len(AHEAD)))
     features[:, :first] = things[:, :first]
-    if match is not None:
-        features[:, first + len(AHEAD) : things.shape[1] + len(AHEAD)] = things[:, first:]
+    features[:, first + len(AHEAD) :] = things[:, first:]
     features[:, first] = _IS_WALL[ahead]
     features[:, first + 1] = _IS_FREE[ahead]
     features[:, first + 2] = _IS_WALL[left] & _IS_WALL[right]

@@ -159,9 +159,10 @@ def _features(cells: npt.NDArray[np.uint8], named: Sequence[bytes], view: int, s
     """Return φ (batch, size) of cells (batch, v·v·21) and things that missions name, which may be empty."""
     if named:
         seen = retina(_images(cells, view), things_of(named))
-        return np.pad(seen, ((0, 0), (0, size - seen.shape[1])))
-    codes = (cells.reshape(-1, DEPTH).astype(np.float32) @ _CODE).astype(np.intp)
-    return retina_of_codes(codes.reshape(len(cells), view * view), view, size=size)
+    else:
+        codes = (cells.reshape(-1, DEPTH).astype(np.float32) @ _CODE).astype(np.intp)
+        seen = retina_of_codes(codes.reshape(len(cells), view * view), view)
+    return np.pad(seen, ((0, 0), (0, size - seen.shape[1])))
 
 
 @lru_cache(maxsize=1 << 14)

@@ -168,8 +168,7 @@ class OptionBank:
     def available_at(self, observation: Any) -> BoolArray:
         """Return which options may start in one observation, shape (max_options,). Not to be changed."""
         if not self._is_by_data():
-            (available_here,) = self._computed_slots(batch_of_one(observation))
-            return np.asarray(available_here)
+            return np.asarray(self._computed_slots(batch_of_one(observation))[0])
         answers = self._answers_at(observation)
         if answers.available is None:
             available = [False] * self.max_options
