@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import get_args
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -20,16 +20,19 @@ from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import novelty
-from sb3_options.learning.novelty import NoveltyKind, RandomNetworkDistillation, ReturnScale, StateCounts
+from sb3_options.learning.episodic_novelty import EllipticalBonus, NovelD
+from sb3_options.learning.novelty import NoveltyKind, RandomNetworkDistillation, ReturnScale, StateCounts, Steps
 from sb3_options.learning.rollout_buffer import add_bonuses
+
+Novelty: TypeAlias = StateCounts | RandomNetworkDistillation | EllipticalBonus
 
 
 class IntrinsicRewardCallback(BaseCallback):
     """Adds a bonus for novelty to the reward of every primitive step.
 
-    The agent learns from r + w b(s') / σ. σ is the running standard deviation of the intrinsic return (`ReturnScale`),
-    so the ``weight`` w means the same for every kind of bonus. An option of k primitive steps gets Σ γⁱ bᵢ over all k
-    steps.
+    The agent learns from r + w b(s, s') / σ. σ is the running standard deviation of the intrinsic return
+    (`ReturnScale`), so the ``weight`` w means the same for every kind of bonus. An option of k primitive steps gets
+    Σ γⁱ bᵢ over all k steps.
 
     It is for PPO, A2C and the other algorithms with rollouts: advantages and returns include the bonus (`add_bonuses`).
     Environments, monitors and evaluations see only the rewards of the task. It works beside `SubgoalDiscoveryCallback`
@@ -38,10 +41,11 @@ class IntrinsicRewardCallback(BaseCallback):
     One value function covers both rewards, so a bonus ends with the episode, unlike that of Burda et al. (2018).
 
     Args:
-        kind: ``counts``, 1 / √N for N visits to a state; or ``rnd``, random network distillation. Observations of whole
-            numbers, such as images, are counted as they are. For others the environment's ``concept_features``, or the
-            feature map of `OptionsWrapper`, are rounded to whole numbers. Without either, the flat observation is
-            rounded to twentieths of its range. ``rnd`` sees the flat observation.
+        kind: ``counts``, 1 / √N for N visits to a state; ``rnd``, random network distillation; ``noveld``, its gain at
+            the first visit in an episode; or ``e3b``, the distance to the episode so far in features that tell actions
+            apart. Observations of whole numbers, such as images, are counted as they are. For others the environment's
+            ``concept_features``, or the feature map of `OptionsWrapper`, are rounded to whole numbers. Without either,
+            the flat observation is rounded to twentieths of its range. The other kinds see the flat observation.
         weight: w, at least 0.
         seed: Seed of the networks' weights.
 
@@ -50,25 +54,22 @@ class IntrinsicRewardCallback(BaseCallback):
 
     Raises:
         ValueError: An argument is out of its range or, when training starts, nothing can be counted or γ is 1.
-        TypeError: When training starts, the algorithm has no rollouts.
+        TypeError: When training starts, the algorithm has no rollouts, or ``e3b`` finds actions that are not discrete.
     """
 
-    STATE = ("novelty", "scale", "_bonus_weight")
+    STATE = ("novelty", "scale", "_bonus_weight", "_departed_from")
 
     def __init__(self, kind: NoveltyKind = "counts", *, weight: float = 0.1, seed: int = 0) -> None:
         super().__init__()
-        if (
-            not isinstance(kind, str)
-            or kind not in get_args(NoveltyKind)
-            or not (is_number(weight) and 0.0 <= weight < math.inf)
-        ):
+        if kind not in get_args(NoveltyKind) or not (is_number(weight) and 0.0 <= weight < math.inf):
+            kinds = ", ".join(map(repr, get_args(NoveltyKind)))
             raise ValueError(
-                f"kind must be 'counts' or 'rnd', and weight finite and at least 0, got {kind!r} and {weight!r}."
+                f"kind must be one of {kinds}, and weight finite and at least 0, got {kind!r} and {weight!r}."
             )
         self.kind = kind
         self.weight = weight
         self.seed = seed
-        self.novelty: StateCounts | RandomNetworkDistillation | None = None
+        self.novelty: Novelty | None = None
         self.scale: ReturnScale | None = None
         self._sums: list[list[float]] = []
         self._bonus_weight = 0.0
@@ -89,12 +90,19 @@ class IntrinsicRewardCallback(BaseCallback):
             self.scale.returns = np.zeros(n_envs)
         self.novelty = self.novelty or self._new_novelty()
         self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
+        self._departed_from = self._unchanged(self.model._last_obs)
 
-    def _new_novelty(self) -> StateCounts | RandomNetworkDistillation:
+    def _new_novelty(self) -> Novelty:
         venv = self.training_env
         space = venv.unwrapped.observation_space
         if self.kind == "rnd":
             return RandomNetworkDistillation(flat_size(space), self.seed)
+        if self.kind == "noveld":
+            return NovelD(flat_size(space), self.seed)
+        if self.kind == "e3b":
+            if not isinstance(venv.action_space, spaces.Discrete):
+                raise TypeError(f"'e3b' predicts discrete actions, got {venv.action_space}: choose another kind.")
+            return EllipticalBonus(flat_size(space), int(venv.action_space.n), self.seed)
         if novelty.is_table_like(space):
             return StateCounts(obs_batch.flatten)
         # Counts in a learned feature map would mean something else later.
@@ -118,12 +126,12 @@ class IntrinsicRewardCallback(BaseCallback):
         assert self.novelty is not None  # made when training started
         assert self.scale is not None  # too
         runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
-        arrived = [_arrived_in(run, last) for run, last in zip(runs, self._last_observations(), strict=True)]
-        if not any(map(obs_batch.batch_size, arrived)):  # all environments wait for their options to end
+        steps = self._steps(runs)
+        if steps is None:  # all environments wait for their options to end
             self._sums.append([0.0] * len(runs))
             return True
-        ends = np.cumsum([obs_batch.batch_size(each) for each in arrived])[:-1]
-        bonuses = np.split(self.novelty.visit(obs_batch.concatenate(arrived)), ends)  # of primitive steps, (k,) each
+        ends = np.searchsorted(steps.envs, np.arange(1, len(runs)))
+        bonuses = np.split(self.novelty.bonuses(steps), ends)  # of primitive steps, (k,) each
         self._sums.append([_discounted(run, of_run) for run, of_run in zip(runs, bonuses, strict=True)])
         self.scale.update(bonuses)
         self._bonus_weight = self.weight / self.scale.std
@@ -137,29 +145,44 @@ class IntrinsicRewardCallback(BaseCallback):
         buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
         add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
 
-    def _last_observations(self) -> list[Observations]:
-        """Return the last observation of each environment, unnormalised, as a batch of one."""
-        normalizer = self.model.get_vec_normalize_env()
-        venv = self.training_env
-        if normalizer is None:
-            given = as_wrapper_sees(venv, self.locals["new_obs"])
-        else:  # the originals: normalisation may have clipped the others
-            given = as_wrapper_sees(normalizer.venv, normalizer.get_original_obs())
-        last = [obs_batch.take(given, slice(i, i + 1)) for i in range(venv.num_envs)]
-        for i, (done, info) in enumerate(zip(self.locals["dones"], self.locals["infos"], strict=True)):
+    def _steps(self, runs: list[OptionRun | None]) -> Steps | None:
+        """Return the primitive steps of all environments; None if there are none."""
+        departed, self._departed_from = self._departed_from, self._unchanged(self.locals["new_obs"])
+        parts = []
+        for env, run in enumerate(runs):
+            if run is not None and run.duration == 0:  # it goes on, and reports its steps when it ends
+                continue
+            here = slice(env, env + 1)
+            done, info = self.locals["dones"][env], self.locals["infos"][env]
+            before, after = obs_batch.take(departed, here), obs_batch.take(self._departed_from, here)
             if done and info.get("terminal_observation") is not None:
-                last[i] = as_wrapper_sees(venv, obs_batch.batch_of_one(info["terminal_observation"]), normalized=True)
-        return last
+                last = obs_batch.batch_of_one(info["terminal_observation"])
+                after = as_wrapper_sees(self.training_env, last, normalized=True)
+            if run is not None and run.observations is not None:
+                before = run.observations
+                after = obs_batch.concatenate([obs_batch.take(before, slice(1, None)), after])
+            actions = self.locals["actions"][here] if run is None or run.actions is None else run.actions
+            ends = [*[False] * (len(actions) - 1), done]
+            parts.append((before, actions, after, [env] * len(actions), ends))
+        if not parts:
+            return None
+        befores, acted, afters, envs, ended = zip(*parts, strict=True)
+        concatenate = obs_batch.concatenate
+        return Steps(
+            concatenate(befores),
+            np.concatenate(acted),
+            concatenate(afters),
+            np.concatenate(envs),
+            np.concatenate(ended),
+        )
 
-
-def _arrived_in(run: OptionRun | None, last: Observations) -> Observations:
-    """Return the observations that the primitive steps of a run led to, ending with ``last``."""
-    if run is not None and run.duration == 0:  # it goes on, and reports its observations when it ends
-        nothing: Observations = obs_batch.take(last, slice(0, 0))
-        return nothing
-    if run is None or run.observations is None:
-        return last
-    return obs_batch.concatenate([obs_batch.take(run.observations, slice(1, None)), last])
+    def _unchanged(self, observations: Any) -> Any:
+        """Return a copy of the observations of the last step as the environments gave them."""
+        normalizer = self.model.get_vec_normalize_env()
+        if normalizer is None:
+            return obs_batch.copy_of(as_wrapper_sees(self.training_env, observations))
+        # The originals: normalisation may have clipped the others.
+        return as_wrapper_sees(normalizer.venv, normalizer.get_original_obs())
 
 
 def _discounted(run: OptionRun | None, bonuses: FloatArray) -> float:

@@ -52,10 +52,11 @@ def run_parts(
     """Results of every part for every seed, in their order.
 
     Each result is kept in ``out/seeds/SEED.json`` as soon as it is there, and a seed whose file is there with the
-    same settings is not run again. All parts share the processes, so that a slow seed of one holds up no other.
+    same settings is not run again. All parts share the processes, so that a slow seed of one holds up no other. They
+    take turns seed by seed, so that processor times of one seed are measured under the same load.
 
     Args:
-        parts: Which; the slowest first leaves no process idle at the end.
+        parts: Which.
         seeds: Which.
         settings: What a result depends on beside the seed; a part may have more of them.
         on: Where they run; on a cluster, too, the files are written here.
@@ -72,7 +73,7 @@ def run_parts(
             kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
             if kept.get("settings") == plain[part.name]:
                 results[part.name, seed] = kept["result"]
-    missing = [(part, seed) for part in parts for seed in seeds if (part.name, seed) not in results]
+    missing = [(part, seed) for seed in seeds for part in parts if (part.name, seed) not in results]
     ended = finished([partial(part.function, seed) for part, seed in missing], on)
     for i, result in track(ended, description=description, total=len(missing), disable=not missing):
         part, seed = missing[i]

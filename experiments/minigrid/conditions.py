@@ -175,8 +175,9 @@ def callbacks_of(
     if arm == "hand-made" or arm in settings.HAND_MADE:
         callbacks.append(PrimitiveStepsCallback(primitive_rollouts=primitive_rollouts))
     over = (stage and arm in settings.BONUS_AT_FIRST) or (is_last and arm in settings.BONUS_BEFORE_LAST)
-    if arm in settings.WITH_BONUS and not over:
-        callbacks.append(IntrinsicRewardCallback("rnd", weight=settings.RND_WEIGHT, seed=seed))
+    if arm in settings.BONUS and not over:
+        kind = settings.BONUS[arm]
+        callbacks.append(IntrinsicRewardCallback(kind, weight=settings.WEIGHTS[kind], seed=seed))
     return callbacks
 
 

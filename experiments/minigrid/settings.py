@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Literal, NamedTuple, get_args
 
+from sb3_options.learning.novelty import NoveltyKind
+
 Arm = Literal[
     "discovered", "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
     "discovered with φ, RND at first", "discovered with φ, RND before the last",
@@ -12,6 +14,8 @@ Arm = Literal[
     "contrasting subgoals", "contrasting subgoals, RND at first", "contrasting subgoals, RND before the last",
     "hand-made", "hand-made subgoals", "hand-made subgoals, 3 cells", "hand-made subgoals, 2 cells",
     "stock, curriculum", "stock, RND", "stock, RND at first", "stock, RND before the last",
+    "stock, NovelD", "stock, NovelD at first", "stock, NovelD before the last",
+    "stock, E3B", "stock, E3B at first", "stock, E3B before the last",
     "stock with φ", "stock with φ, RND at first", "stock with φ, RND before the last",
     "stock, rl-zoo3's settings", "stock",
 ]  # fmt: skip
@@ -20,7 +24,8 @@ ARMS: tuple[Arm, ...] = get_args(Arm)
 weights along. ``stock, curriculum``: PPO; ``stock, rl-zoo3's settings``: with these; ``stock, RND``: with a bonus
 for what is new in each task. ``with φ``: the agent sees φ beside the observation. ``discovered``: with options that
 are discovered in the stages before the last, and kept; ``discovered, RND``: with the bonus. ``RND at first``: with
-the bonus in the first task alone; ``RND before the last``: in all but the last. ``proposed groups``: as
+the bonus in the first task alone; ``RND before the last``: in all but the last. ``NovelD`` and ``E3B``: with these
+bonuses instead. ``proposed groups``: as
 ``discovered``, but groups of features are proposed from random walks in the first task. ``random subgoals``: as
 ``discovered``, but subgoals are drawn, not found; ``contrasting subgoals``: drawn from what successes visit oftener
 than failures. ``hand-made``: options by hand from the first step on, the bound. ``hand-made subgoals``: by hand, to
@@ -38,9 +43,13 @@ HAND_MADE: dict[Arm, int | None] = {
 
 WITH_FEATURES: tuple[Arm, ...] = tuple(arm for arm in ARMS if "with φ" in arm)
 WITH_OPTIONS: tuple[Arm, ...] = (*DISCOVERING, "hand-made", *HAND_MADE)
-BONUS_AT_FIRST: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.endswith("RND at first"))
-BONUS_BEFORE_LAST: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.endswith("RND before the last"))
-WITH_BONUS: tuple[Arm, ...] = ("discovered, RND", "stock, RND", *BONUS_AT_FIRST, *BONUS_BEFORE_LAST)
+BONUS_AT_FIRST: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.endswith("at first"))
+BONUS_BEFORE_LAST: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.endswith("before the last"))
+BONUS: dict[Arm, NoveltyKind] = {
+    arm: kind for arm in ARMS for kind in get_args(NoveltyKind) if f", {kind}" in arm.lower()
+}
+"""Kind of bonus of the arms that have one."""
+
 ZOO_ARM: Arm = "stock, rl-zoo3's settings"
 
 
@@ -135,8 +144,8 @@ ZOO_N_ENVS = 8
 ZOO_OF_TASK: dict[str, dict[str, Any]] = {"MiniGrid-FourRooms-v0": {"n_steps": 512}}
 """Where rl-zoo3 has others for a task of ours."""
 
-RND_WEIGHT = 0.1
-"""Of the bonus for what is new, the default of `IntrinsicRewardCallback`."""
+WEIGHTS: dict[NoveltyKind, float] = {"rnd": 0.1, "noveld": 0.1, "e3b": 0.1}
+"""Of the bonuses; 0.1 is the default of `IntrinsicRewardCallback`."""
 
 
 WALKS, LONGEST_WALK = 40, 400
@@ -198,8 +207,8 @@ def of(arm: Arm, family: str) -> dict[str, Any]:
         special |= {"subgoals": "drawn" if arm in RANDOM else "drawn from what contrasts"}
     if arm in WITH_FEATURES:
         special |= {"observation": "with φ"}
-    if arm in WITH_BONUS:
-        special |= {"rnd_weight": RND_WEIGHT}
+    if arm in BONUS:
+        special |= {f"{BONUS[arm]}_weight": WEIGHTS[BONUS[arm]]}
     if arm == ZOO_ARM:
         special |= {"ppo": zoo_settings(family), "n_envs": ZOO_N_ENVS, "normalised": True}
     return special

@@ -1,11 +1,11 @@
-"""Novelty of observations: state counts, random network distillation, and their scale."""
+"""Novelty of observations over the whole training: state counts, random network distillation, and their scale."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -17,13 +17,21 @@ from torch import nn
 from torch.nn import functional
 
 from sb3_options.density.arrays import short_key
-from sb3_options.experience.observations import FeatureMap, FloatArray, Observations, batch_size, flatten
+from sb3_options.experience.observations import (
+    BoolArray,
+    FeatureMap,
+    FloatArray,
+    IntArray,
+    Observations,
+    batch_size,
+    flatten,
+)
 from sb3_options.state import declare
 
 declare(RunningMeanStd, "mean", "var", "count")
 
-NoveltyKind: TypeAlias = Literal["counts", "rnd"]
-"""How novelty is measured: by `StateCounts` or by `RandomNetworkDistillation`."""
+NoveltyKind: TypeAlias = Literal["counts", "rnd", "noveld", "e3b"]
+"""How novelty is measured: by `StateCounts`, `RandomNetworkDistillation`, `NovelD` or `EllipticalBonus`."""
 
 CLIP = 5.0  # normalised observations are clipped to ± this (Burda et al. 2018, §2.4)
 SMALLEST = 1e-8  # added to variances before dividing by their root
@@ -35,7 +43,25 @@ LARGEST_SPAN = 1e6  # a wider range than this (the largest float, say) is no bou
 N_FEATURES = 64  # numbers that the random network makes of an observation
 HIDDEN = 128  # units of a hidden layer; the predictor has one more such layer
 LEARNING_RATE = 1e-3  # of Adam
-BATCH = 64  # the predictor takes a gradient step each time this many observations were visited
+BATCH = 64  # networks take a gradient step each time this many observations were visited
+
+
+class Steps(NamedTuple):
+    """Primitive steps of all environments, those of one environment after those of another, each in order of time.
+
+    Attributes:
+        before: Observations acted in, (n, ...).
+        actions: Primitive actions, (n,).
+        after: Observations arrived in, (n, ...).
+        envs: Numbers of the environments, (n,).
+        ends: Whether the step ended its episode, (n,).
+    """
+
+    before: Observations
+    actions: IntArray
+    after: Observations
+    envs: IntArray
+    ends: BoolArray
 
 
 class StateCounts:
@@ -58,6 +84,10 @@ class StateCounts:
         if not np.isfinite(rows).all():
             raise ValueError("The feature map of the bonus gave NaN or infinite features.")
         return [short_key(row.tobytes()) for row in np.rint(rows / self.widths).astype(np.int64)]
+
+    def bonuses(self, steps: Steps) -> FloatArray:
+        """Return `visit` of the observations arrived in."""
+        return self.visit(steps.after)
 
     def visit(self, observations: Observations) -> FloatArray:
         """Count each observation and return 1 / √N, (batch,): 1 the first time. Duplicates in a batch all count."""
@@ -84,58 +114,90 @@ def bin_widths(space: spaces.Box) -> FloatArray:
     return np.where(np.isfinite(spans) & (spans > 0.0) & (spans < LARGEST_SPAN), spans / BINS, 1.0)
 
 
-class RandomNetworkDistillation:
-    """Prediction error of a network for the output of a random network (Burda et al. 2018, §2.2).
+class NetworkNovelty:
+    """Networks on flat observations that learn from each visited one once; the rest is up to the subclass.
 
-    Flat observations are normalised by their running mean and standard deviation, and clipped. The error is the mean of
-    squares over the random network's outputs. Each visited observation is learned from once, as in the paper (4 epochs
-    of a quarter of the batch).
+    Flat observations are normalised by their running mean and standard deviation, and clipped (Burda et al. 2018).
     """
 
-    STATE = ("statistics", "loss", "target", "predictor", "_optimizer", "_visited")
+    STATE: tuple[str, ...] = ("statistics", "loss", "_optimizer", "_visited")
 
-    def __init__(self, size: int, seed: int = 0) -> None:
+    def __init__(self, size: int, trained: nn.Module) -> None:
         self.statistics = RunningMeanStd(shape=(size,))
         self.loss = math.nan
-        with torch.random.fork_rng(devices=[]):  # the bonus must not change the model's own draws
-            torch.manual_seed(seed)
-            self.target = _network(size, n_hidden=1).requires_grad_(requires_grad=False)
-            self.predictor = _network(size, n_hidden=2)
-        self._optimizer = torch.optim.Adam(self.predictor.parameters(), lr=LEARNING_RATE)
-        self._visited: list[torch.Tensor] = []
-
-    def visit(self, observations: Observations) -> FloatArray:
-        """Return the error before the predictor learns from these observations, (batch,)."""
-        rows = flatten(observations)
-        self.statistics.update(rows)
-        normalized = self._normalized(rows)
-        with torch.no_grad():
-            errors = (self.predictor(normalized) - self.target(normalized)).square().mean(dim=1)
-        self._visited.append(normalized)
-        if sum(map(len, self._visited)) >= BATCH:
-            self._learn(torch.cat(self._visited))
-            self._visited.clear()
-        return np.asarray(errors.numpy(), dtype=np.float64)
+        self._optimizer = torch.optim.Adam(trained.parameters(), lr=LEARNING_RATE)
+        self._visited: list[tuple[torch.Tensor, ...]] = []
 
     def records(self) -> dict[str, float]:
-        """Return the predictor's last loss, or nothing before the first."""
+        """Return the last loss, or nothing before the first."""
         return {} if math.isnan(self.loss) else {"loss": self.loss}
 
-    def _normalized(self, rows: FloatArray) -> torch.Tensor:
+    def normalized(self, rows: FloatArray) -> torch.Tensor:
+        """Return flat observations as the networks see them, (batch, d)."""
         scaled = (rows - self.statistics.mean) / np.sqrt(self.statistics.var + SMALLEST)
         return torch.as_tensor(np.clip(scaled, -CLIP, CLIP), dtype=torch.float32)
 
-    def _learn(self, normalized: torch.Tensor) -> None:
-        loss = functional.mse_loss(self.predictor(normalized), self.target(normalized))
+    def learn(self, *visited: torch.Tensor) -> None:
+        """Take a gradient step on `BATCH` visited observations, once there are as many; keep them until then."""
+        self._visited.append(visited)
+        if sum(len(first) for first, *_ in self._visited) < BATCH:
+            return
+        loss = self.loss_of(*map(torch.cat, zip(*self._visited, strict=True)))
+        self._visited.clear()
         self._optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
         self._optimizer.step()
         self.loss = loss.item()
 
+    def loss_of(self, *visited: torch.Tensor) -> torch.Tensor:
+        """Return the loss of the networks."""
+        raise NotImplementedError
 
-def _network(size: int, *, n_hidden: int) -> nn.Sequential:
-    network = nn.Sequential(*create_mlp(size, N_FEATURES, [HIDDEN] * n_hidden))
-    return network.apply(partial(BasePolicy.init_weights, gain=math.sqrt(2.0)))
+
+class RandomNetworkDistillation(NetworkNovelty):
+    """Prediction error of a network for the output of a random network (Burda et al. 2018, §2.2).
+
+    The error is the mean of squares over the random network's outputs. Each visited observation is learned from once,
+    as in the paper (4 epochs of a quarter of the batch).
+    """
+
+    STATE: tuple[str, ...] = ("target", "predictor")
+
+    def __init__(self, size: int, seed: int = 0) -> None:
+        with torch.random.fork_rng(devices=[]):  # the bonus must not change the model's own draws
+            torch.manual_seed(seed)
+            self.target = network(size, N_FEATURES, n_hidden=1).requires_grad_(requires_grad=False)
+            self.predictor = network(size, N_FEATURES, n_hidden=2)
+        super().__init__(size, self.predictor)
+
+    def bonuses(self, steps: Steps) -> FloatArray:
+        """Return `visit` of the observations arrived in."""
+        return self.visit(steps.after)
+
+    def visit(self, observations: Observations) -> FloatArray:
+        """Return the error before the predictor learns from these observations, (batch,)."""
+        rows = flatten(observations)
+        self.statistics.update(rows)
+        normalized = self.normalized(rows)
+        errors = self.errors(normalized)
+        self.learn(normalized)
+        return errors
+
+    def errors(self, normalized: torch.Tensor) -> FloatArray:
+        """Return the predictor's error for normalised observations, (batch,)."""
+        with torch.no_grad():
+            errors = (self.predictor(normalized) - self.target(normalized)).square().mean(dim=1)
+        return np.asarray(errors.numpy(), dtype=np.float64)
+
+    def loss_of(self, *visited: torch.Tensor) -> torch.Tensor:
+        """Return the predictor's mean error."""
+        return functional.mse_loss(self.predictor(visited[0]), self.target(visited[0]))
+
+
+def network(size: int, n_outputs: int, *, n_hidden: int) -> nn.Sequential:
+    """Return a network with hidden layers of `HIDDEN` units and orthogonal weights."""
+    layers = nn.Sequential(*create_mlp(size, n_outputs, [HIDDEN] * n_hidden))
+    return layers.apply(partial(BasePolicy.init_weights, gain=math.sqrt(2.0)))
 
 
 class ReturnScale:

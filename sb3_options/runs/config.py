@@ -96,7 +96,7 @@ class TrainConfig:
         algo_kwargs: Arguments of SB3's class.
         env_wrapper: Wrapper of the environment, module:Class.
         feature_map: φ: module:function, or temporal-distance.
-        bonus: Intrinsic reward: none, counts or rnd.
+        bonus: Intrinsic reward: none, counts, rnd, noveld or e3b.
         success: Rule: terminated, return:30 or steps:500.
         checkpoint_freq: Primitive steps per checkpoint; 0: none.
         eval_episodes: Episodes of an evaluation.
@@ -125,7 +125,7 @@ class TrainConfig:
     algo_kwargs: dict[str, Any] = field(default_factory=dict)
     env_wrapper: str | None = None
     feature_map: str | None = None
-    bonus: Literal["none", "counts", "rnd"] = "none"
+    bonus: Literal["none", "counts", "rnd", "noveld", "e3b"] = "none"
     success: Annotated[str, AfterValidator(_named_rule)] = "reported"
     checkpoint_freq: Natural = 10_000
     eval_episodes: Count = 10

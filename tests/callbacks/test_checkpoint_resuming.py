@@ -144,7 +144,7 @@ def test_replay_buffers(kwargs: dict[str, Any], tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("keep_all")
-@pytest.mark.parametrize("kind", ["counts", "rnd"])
+@pytest.mark.parametrize("kind", ["counts", "rnd", "noveld", "e3b"])
 def test_bonuses(kind: Any, tmp_path: Path) -> None:
     others = lambda: [discovering(), IntrinsicRewardCallback(kind)]  # noqa: E731
     check_resumes(lambda: model_of("A2C", venv_of()), others, tmp_path, cuts=(0.5,))

@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from sb3_options import OptionDQN, OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback
-from sb3_options.learning.novelty import StateCounts, bin_widths
+from sb3_options.learning.novelty import NoveltyKind, StateCounts, Steps, bin_widths
 from tests.learning.test_replay_buffer import optioned, place_in
 from tests.learning.test_rollout_buffer import GAMMA, LAMBDA, make
 from tests.support.helpers import steady_option
@@ -50,7 +50,12 @@ class Rollout(BaseCallback):
 
 def place(step: Any) -> tuple[int, ...]:
     """Where a primitive step led."""
-    return tuple(np.rint(step.next_state).astype(int))
+    return rounded(step.next_state)
+
+
+def rounded(observation: Any) -> tuple[int, ...]:
+    """A place."""
+    return tuple(np.rint(observation).astype(int))
 
 
 def counted(steps: list[list[int]], logs: list[list[Any]]) -> list[list[list[float]]]:
@@ -127,6 +132,38 @@ def test_advantages_are_those_of_rewards_with_the_bonus(algorithm: Any, options:
     assert model.gae_lambda == LAMBDA
 
 
+class Seen:
+    """Stands in for novelty, and keeps the primitive steps that it is asked about."""
+
+    def __init__(self) -> None:
+        self.steps: list[Any] = []
+
+    def bonuses(self, steps: Steps) -> Any:
+        rows = zip(steps.envs, steps.before, steps.actions, steps.after, steps.ends, strict=True)
+        self.steps += [(int(env), rounded(a), int(action), rounded(b), bool(end)) for env, a, action, b, end in rows]
+        return np.ones(len(steps.envs))
+
+    def records(self) -> dict[str, float]:
+        return {}
+
+
+@pytest.mark.parametrize("options", [True, False])
+@pytest.mark.parametrize("normalized", [True, False])
+def test_novelty_is_asked_about_each_primitive_step(options: bool, normalized: bool) -> None:
+    venv, logs = logged(2, options=options)
+    bonus, seen = IntrinsicRewardCallback(), Seen()
+    bonus.novelty = seen  # type: ignore[assignment]  # behaves as one
+    env = VecNormalize(venv, norm_reward=False, gamma=GAMMA) if normalized else venv
+    callbacks: list[BaseCallback] = [bonus, PrimitiveStepsCallback()] if options else [bonus]
+    make(PPO, env).learn(200, callback=callbacks)
+    for i, log in enumerate(logs):
+        expected = [
+            (i, rounded(s.state), s.action, rounded(s.next_state), s.terminated or s.truncated) for s in log.log
+        ]
+        assert [step for step in seen.steps if step[0] == i] == expected
+        assert sum(step[-1] for step in expected) > 3
+
+
 def visits_of(bonus: IntrinsicRewardCallback) -> dict[bytes, int]:
     assert isinstance(bonus.novelty, StateCounts)
     return bonus.novelty.visits
@@ -170,18 +207,18 @@ def read(visits: dict[bytes, int], widths: Any) -> dict[tuple[int, ...], int]:
 def test_without_weight_nothing_changes() -> None:
     """Nothing is drawn from the environment's spaces either."""
     weights = []
-    for callback in (None, IntrinsicRewardCallback(weight=0.0), IntrinsicRewardCallback("rnd", weight=0.0)):
+    for callback in (None, *(IntrinsicRewardCallback(kind, weight=0.0) for kind in get_args(NoveltyKind))):
         env = Corridor()
         env.observation_space.seed(0)
         model = make(PPO, env)
         model.learn(256, callback=callback)
         assert env.observation_space.np_random.random() == np.random.default_rng(0).random()
         weights.append(torch.cat([p.detach().flatten() for p in model.policy.parameters()]))
-    assert torch.equal(weights[0], weights[1])
-    assert torch.equal(weights[0], weights[2])
+    assert len(weights) == 5
+    assert all(torch.equal(weights[0], each) for each in weights)
 
 
-@pytest.mark.parametrize("kind", ["counts", "rnd"])
+@pytest.mark.parametrize("kind", ["counts", "rnd", "noveld", "e3b"])
 def test_logs_and_goes_on(kind: Any, tmp_path: Path) -> None:
     model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, seed=0, tensorboard_log=str(tmp_path), n_steps=64)
     bonus = IntrinsicRewardCallback(kind)
@@ -193,7 +230,7 @@ def test_logs_and_goes_on(kind: Any, tmp_path: Path) -> None:
         assert sum(before.visits.values()) == 1280
     scalars = EventAccumulator(str(min(tmp_path.rglob("events*"))))
     scalars.Reload()
-    shown = {"counts": "intrinsic/states", "rnd": "intrinsic/loss"}[kind]
+    shown = "intrinsic/states" if kind == "counts" else "intrinsic/loss"
     assert {"intrinsic/bonus", "intrinsic/return_std", shown} <= set(scalars.Tags()["scalars"])
     assert 0 < scalars.Scalars("intrinsic/bonus")[-1].value < 0.2
 
@@ -201,12 +238,21 @@ def test_logs_and_goes_on(kind: Any, tmp_path: Path) -> None:
 class TestErrors:
     @pytest.mark.parametrize("arguments", [{"kind": "icm"}, {"weight": -0.1}, {"weight": float("nan")}])
     def test_bad_arguments(self, arguments: dict[str, Any]) -> None:
-        with pytest.raises(ValueError, match="kind must be 'counts' or 'rnd', and weight finite and at least 0, got"):
+        with pytest.raises(
+            ValueError,
+            match="kind must be one of 'counts', 'rnd', 'noveld', 'e3b', and weight finite and at least 0, got",
+        ):
             IntrinsicRewardCallback(**arguments)
 
     def test_no_discount(self) -> None:
         with pytest.raises(ValueError, match=r"needs gamma below 1, or its return has no bound, got gamma=1\.0"):
             make(PPO, Corridor(), gamma=1.0).learn(64, callback=IntrinsicRewardCallback())
+
+    def test_actions_that_nothing_predicts(self) -> None:
+        with pytest.raises(TypeError, match=r"'e3b' predicts discrete actions, got Box"):
+            PPO("MlpPolicy", "Pendulum-v1", n_steps=16, batch_size=16).learn(
+                16, callback=IntrinsicRewardCallback("e3b")
+            )
 
     def test_nothing_to_count(self) -> None:
         model = PPO("MultiInputPolicy", Corridor("dict"), n_steps=16, batch_size=16)

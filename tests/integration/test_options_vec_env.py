@@ -95,7 +95,7 @@ def test_a_bonus_is_given_once_for_each_primitive_step() -> None:
     assert sum(bonus.novelty.visits.values()) == runs.reported  # type: ignore[union-attr]  # it counts states
 
 
-@pytest.mark.parametrize("kind", ["counts", "rnd"])
+@pytest.mark.parametrize("kind", ["counts", "rnd", "noveld", "e3b"])
 def test_a_bonus_survives_steps_in_which_every_environment_waits(kind: Any) -> None:
     venv = OptionsVecEnv(DummyVecEnv([lambda: CountingEnv(2, truncate_at=60)]), 1, gamma=GAMMA)
     venv.set_slots(options={0: steady_option(1, max_duration=20)})

@@ -1,7 +1,7 @@
 import dataclasses
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -12,10 +12,11 @@ from sb3_options.checkpoints.demonstrations import MANY
 from sb3_options.cli import parse
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.envs.minigrid import DISCOVERY
+from sb3_options.learning.novelty import NoveltyKind
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.runs import config as configs
 from sb3_options.runs.algorithms import checked_arguments
-from sb3_options.runs.config import ALGORITHMS, FIELDS, configure
+from sb3_options.runs.config import ALGORITHMS, FIELDS, TrainConfig, configure
 
 
 def test_every_field_survives_saving_and_loading(tmp_path: Path) -> None:
@@ -157,3 +158,7 @@ def test_the_nearest_name_is_told_whatever_part_it_is_of(content: dict[str, Any]
 def test_names_with_dots_are_those_of_parts() -> None:
     made = configs.build({"discovery.min_positive": 9, "discovery": {"decay": 0.5}, "option.grow": True}, "here")
     assert (made.discovery.min_positive, made.discovery.decay, made.option.grow) == (9, 0.5, True)
+
+
+def test_every_kind_of_bonus_can_be_chosen() -> None:
+    assert get_args(get_type_hints(TrainConfig)["bonus"]) == ("none", *get_args(NoveltyKind))
