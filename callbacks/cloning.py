@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -40,42 +41,62 @@ def check_clonable(venv: VecEnv) -> None:
         )
 
 
-def clone(model: Any, bank: OptionBank, demonstrations: Sequence[Trajectory]) -> float:
-    """Fit a policy to the decisions of demonstrations by maximum likelihood (Pomerleau 1991).
-
-    The value function is left alone: fitted to successes only, it takes every failure for a surprise, and the first
-    updates of PPO undo what was cloned.
+class Imitation:
+    """The decisions of demonstrations, as a loss of a policy: their negative log likelihood (Pomerleau 1991).
 
     Args:
         model: One that `can_clone`, with the heads of the options open.
         bank: The options, which are decisions, too.
         demonstrations: Successful ones.
+    """
+
+    def __init__(self, model: Any, bank: OptionBank, demonstrations: Sequence[Trajectory]) -> None:
+        self.model = model
+        self.states = concatenate([each.states for each in demonstrations])
+        self._normalizer: VecNormalize | None = model.get_vec_normalize_env()
+        self._masked = isinstance(family_of(model), Masked)
+        chosen = (decisions(each, bank) for each in demonstrations)
+        self._actions, self._masks = map(np.concatenate, zip(*chosen, strict=True))
+        firsts = np.cumsum([0, *(each.visits.max() + 1 for each in demonstrations[:-1])])
+        visits = [first + each.visits[:-1] for first, each in zip(firsts, demonstrations, strict=True)]
+        self._seen = np.concatenate(visits)
+        self._generator = torch.Generator().manual_seed(model.seed or 0)
+
+    def loss(self) -> torch.Tensor:
+        """Return the loss of a random batch."""
+        rows = torch.randint(len(self._seen), (BATCH_SIZE,), generator=self._generator).numpy()
+        observations = take(self.states, self._seen[rows])
+        if self._normalizer is not None:
+            observations = self._normalizer.normalize_obs(observations)
+        batch, _ = self.model.policy.obs_to_tensor(observations)
+        chosen = torch.as_tensor(self._actions[rows], device=self.model.device)
+        masks = [self._masks[rows]] if self._masked else []
+        _, log_prob, _ = self.model.policy.evaluate_actions(batch, chosen, *masks)
+        return torch.as_tensor(-log_prob.mean())
+
+
+def clone(model: Any, bank: OptionBank, demonstrations: Sequence[Trajectory]) -> float:
+    """Fit a policy to the decisions of demonstrations by maximum likelihood.
+
+    The value function is left alone: fitted to successes only, it takes every failure for a surprise, and the first
+    updates of PPO undo what was cloned. Arguments are those of `Imitation`.
 
     Returns:
         The mean probability of the last batch's decisions (geometric).
     """
-    states = concatenate([each.states for each in demonstrations])
+    imitation = Imitation(model, bank, demonstrations)
     if (normalizer := model.get_vec_normalize_env()) is not None:
-        _begin_statistics(normalizer, states)
-    actions, masks = map(np.concatenate, zip(*(decisions(each, bank) for each in demonstrations), strict=True))
-    firsts = np.cumsum([0, *(each.visits.max() + 1 for each in demonstrations[:-1])])
-    seen = np.concatenate([first + each.visits[:-1] for first, each in zip(firsts, demonstrations, strict=True)])
+        _begin_statistics(normalizer, imitation.states)
     policy = model.policy
-    masked = isinstance(family_of(model), Masked)
-    generator = torch.Generator().manual_seed(model.seed or 0)
     optimizer = torch.optim.Adam(policy.parameters(), LEARNING_RATE)
     policy.set_training_mode(True)
     for _ in range(UPDATES):
-        rows = torch.randint(len(seen), (BATCH_SIZE,), generator=generator).numpy()
-        observations = take(states, seen[rows])
-        batch, _ = policy.obs_to_tensor(observations if normalizer is None else normalizer.normalize_obs(observations))
-        chosen = torch.as_tensor(actions[rows], device=model.device)
-        _, log_prob, _ = policy.evaluate_actions(batch, chosen, *([masks[rows]] if masked else []))
+        loss = imitation.loss()
         optimizer.zero_grad()
-        (-log_prob.mean()).backward()
+        loss.backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
         torch.nn.utils.clip_grad_norm_(policy.parameters(), MAX_GRAD_NORM)
         optimizer.step()
-    return float(log_prob.detach().mean().exp())
+    return math.exp(-loss.item())
 
 
 def _begin_statistics(normalizer: VecNormalize, observations: Observations) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
+import torch
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
@@ -14,14 +16,17 @@ from experiments.common.seeds import Result
 from experiments.demonstrations.experts import expert_of
 from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.callbacks.cloning import Imitation
 from sb3_options.callbacks.demonstrated import FAILURES
 from sb3_options.checkpoints.demonstrations import MANY
 from sb3_options.envs.minigrid import DISCOVERY, make
+from sb3_options.experience.trajectories import Trajectory
 from sb3_options.runs.config import CLONED, CLONED_FROM_MANY
 
-Arm = Literal["options, cloning", "cloning", "options"]
+Arm = Literal["options, cloning", "cloning", "options", "cloning, demonstration loss"]
 
 ARMS: tuple[Arm, ...] = get_args(Arm)
+"""``demonstration loss``: every gradient of PPO includes that of `DemonstrationLoss`."""
 
 TASKS = {
     "BabyAI-KeyCorridorS3R3-v0": 200_000,
@@ -75,6 +80,45 @@ class UntilLearned(BaseCallback):
         return len(self.recent) == EPISODES and float(np.mean(self.recent)) >= LEARNED
 
 
+LOSS_WEIGHT, LOSS_DECAY = 0.1, 0.95
+"""Weight of the demonstration loss in the first update, and its factor after each: λ₀ and λ₁ of Rajeswaran et al.
+(2018), whose advantages are normalised, too."""
+
+
+class DemonstrationLoss(BaseCallback):
+    """Adds the gradient of the demonstrations' decisions to each of PPO's: DAPG (Rajeswaran et al. 2018, eq. 7)."""
+
+    def __init__(self, discovery: SubgoalDiscoveryCallback, demonstrations: Sequence[Trajectory]) -> None:
+        super().__init__()
+        self.discovery = discovery
+        self.demonstrations = demonstrations
+        self.weight = LOSS_WEIGHT
+
+    def _on_training_start(self) -> None:
+        imitation = Imitation(self.model, self.discovery.bank, self.demonstrations)
+
+        def add(optimizer: torch.optim.Optimizer, *_: Any) -> None:
+            parameters = [each for group in optimizer.param_groups for each in group["params"]]
+            loss = self.weight * imitation.loss()
+            for parameter, gradient in zip(
+                parameters, torch.autograd.grad(loss, parameters, allow_unused=True), strict=True
+            ):
+                if gradient is not None:
+                    parameter.grad = gradient if parameter.grad is None else parameter.grad + gradient
+
+        self.hook = self.model.policy.optimizer.register_step_pre_hook(add)
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        if self.num_timesteps:
+            self.weight *= LOSS_DECAY
+
+    def _on_training_end(self) -> None:
+        self.hook.remove()
+
+
 def after_cloning(episodes: int) -> dict[str, Any]:
     """What ``train.py`` sets for a policy that was cloned from so many demonstrations, if all of them succeed."""
     return CLONED_FROM_MANY if episodes >= MANY else CLONED
@@ -110,7 +154,8 @@ def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
         policy_kwargs={"net_arch": [64, 64]},
         **PPO | cloned,
     )
-    model.learn(TASKS[task] - frames, [discovery, end])
+    loss = [DemonstrationLoss(discovery, shown)] if "loss" in arm else []
+    model.learn(TASKS[task] - frames, [discovery, *loss, end])
     return {
         "seed": seed,
         "learned": frames + model.num_timesteps if end.learned else None,
