@@ -51,9 +51,9 @@ def with_failures(
 ) -> list[tuple[Trajectory, bool]]:
     """Failures among successes, to learn from in this order.
 
-    If no demonstration failed, episodes of a random policy are added, as many but at most `FAILURES`, each at most as
-    long as the longest demonstration: they fail to succeed in the time that a demonstration takes. The environments
-    have to be reset afterwards. A random policy may succeed, too.
+    If no demonstration failed, as many episodes of a random policy are added, at most `FAILURES`. Each is at most as
+    long as the longest demonstration, so few succeed; those that do count as successes. Reset the environments
+    afterwards.
     """
     if all(said for _, said in shown):
         longest = max(len(each) for each, _ in shown)

@@ -41,11 +41,12 @@ class IntrinsicRewardCallback(BaseCallback):
     One value function covers both rewards, so a bonus ends with the episode, unlike that of Burda et al. (2018).
 
     Args:
-        kind: ``counts``, 1 / √N for N visits to a state; ``rnd``, random network distillation; ``noveld``, its gain at
-            the first visit in an episode; or ``e3b``, the distance to the episode so far in features that tell actions
-            apart. Observations of whole numbers, such as images, are counted as they are. For others the environment's
-            ``concept_features``, or the feature map of `OptionsWrapper`, are rounded to whole numbers. Without either,
-            the flat observation is rounded to twentieths of its range. The other kinds see the flat observation.
+        kind: ``counts``, 1 / √N for N visits to a state; ``rnd``, random network distillation; ``noveld``, the increase
+            in ``rnd``'s novelty at the first visit in an episode; or ``e3b``, the distance from the episode's earlier
+            observations in features learned by inverse dynamics. Observations of whole numbers, such as images, are
+            counted as they are. For others the environment's ``concept_features``, or the feature map of
+            `OptionsWrapper`, are rounded to whole numbers. Without either, the flat observation is rounded to
+            twentieths of its range. The other kinds see the flat observation.
         weight: w, at least 0.
         seed: Seed of the networks' weights.
 

@@ -23,7 +23,7 @@ def discover(
 ) -> OptionBank:
     """Discover options in saved trajectories, and put them into an environment.
 
-    This is a training of no steps, with the same options, or the same reasons why none is found.
+    This is `SubgoalDiscoveryCallback` without training: the same options, or the same reason why there are none.
 
     Args:
         trajectories: Trajectories or a file, as in ``SubgoalDiscoveryCallback(demonstrations=...)``.

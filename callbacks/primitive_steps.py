@@ -73,14 +73,14 @@ class PrimitiveStepsCallback(BaseCallback):
 
     ``train_freq``, ``target_update_interval`` and ``eval_freq`` of an ``EvalCallback`` still count decisions. So does
     ``n_steps``, unless ``primitive_rollouts`` is set. A rollout may then take many more primitive steps, and on-policy
-    training ends in the middle of one when the budget is used up (SB3's last rollout is counted in full, as if every
-    action were one step). The model does not learn from that rollout. No schedule sees a progress below 0. Over
-    `OptionsVecEnv` all of these count primitive steps.
+    training ends in the middle of one when the budget is used up (rounded up to whole rollouts, as if every action were
+    one step). The model does not learn from that rollout. No schedule sees a progress below 0. Over `OptionsVecEnv` all
+    of these count primitive steps.
 
     Args:
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps. A rollout then has as
-            many decisions as took that long in the one before. Otherwise options make rollouts longer, and updates
-            rarer.
+            many decisions as took ``n_steps`` primitive steps in the previous rollout. Otherwise options make rollouts
+            longer, and updates rarer.
         verbose: As for any callback.
 
     Raises:

@@ -17,9 +17,9 @@ class OptionUse:
 
     Attributes:
         max_option_exploration: Largest share of all options among the random choices of DQN, QRDQN and OptionDQN. With
-            MaskablePPO it is the probability that the first option opens with where primitives are equally likely. The
-            k-th option opens with 1/k of those odds. So it is no cap on all options together: three at 0.5 open with
-            0.65.
+            MaskablePPO it is the first option's initial probability where primitives are equally likely. The k-th
+            option available in the same states gets 1/k of those odds. So it does not cap all options together:
+            three at 0.5 start with a joint 0.65.
         primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps, not decisions.
     """
 

@@ -50,8 +50,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     as the environment itself, bit for bit.
 
     If the environment has its own ``action_masks()``, slots respect it. An option ends if its next primitive is masked,
-    and may not start if its first one is. If it is chosen all the same, it runs a legal primitive, as an empty slot
-    does: the first one from its number on.
+    and may not start if its first one is. If it is chosen nevertheless, slot i acts like an
+    empty slot: it runs the first legal primitive from i mod n_primitive on.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.
@@ -212,10 +212,10 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         """
         if self.bank.max_options and not self.bank.filled:
             self._warn_once(
-                "No slot holds an option, so that masks allow primitive actions alone. If options were discovered, the "
+                "No slot holds an option, so masks allow primitive actions alone. If options were discovered, the "
                 'model needs them here: sb3_options.load_model(MaskablePPO, "model.zip", env) or '
                 'sb3_options.load_options("model.zip", env). To train, give learn() a SubgoalDiscoveryCallback or a '
-                "PrimitiveStepsCallback. This is said once."
+                "PrimitiveStepsCallback. This warning appears once."
             )
         slots = self._available_slots([self._current_observation("action_masks()")])[0]
         legal = self._legal()
@@ -270,7 +270,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
                 "learn() a SubgoalDiscoveryCallback, or a PrimitiveStepsCallback where nothing is to be discovered: "
                 "they close empty slots, which harm learning otherwise. A trained model needs its options in the "
                 'environment it acts in: sb3_options.load_model(DQN, "model.zip", env) or '
-                'sb3_options.load_options("model.zip", env). This is said once.'
+                'sb3_options.load_options("model.zip", env). This warning appears once.'
             )
         if option is None or (self.max_runs is not None and self._runs[slot] >= self.max_runs):
             return self._run_primitive(self._instead_of(slot), instead=True)

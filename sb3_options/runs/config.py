@@ -45,7 +45,7 @@ with masks. An option that is learned anew becomes available where the policy wa
 again and again."""
 
 REFINED = ("maskableppo", "ppo")
-"""Algorithms for which smaller updates from many demonstrations on were measured, or work in the same way."""
+"""Algorithms that take smaller updates from `MANY` demonstrations on: measured, or similar to a measured one."""
 
 CLONED_FROM_MANY = CLONED | {"learning_rate": 0.0001, "max_runs": 15}
 """The same from `MANY` demonstrations on. Larger updates make a good policy worse, and options are not learned anew
