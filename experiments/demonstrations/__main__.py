@@ -18,7 +18,18 @@ from rich.table import Table
 from experiments.common.intervals import capped, iqm_ratio, steps_until
 from experiments.common.seeds import Part, Result, run_parts
 from experiments.common.study import Flags, show, write
-from experiments.demonstrations.conditions import ARMS, EPISODES, LEARNED, PPO, TASKS, Arm, after_cloning, run
+from experiments.demonstrations.conditions import (
+    ARMS,
+    EPISODES,
+    LEARNED,
+    LOSS_DECAY,
+    LOSS_WEIGHT,
+    PPO,
+    TASKS,
+    Arm,
+    after_cloning,
+    run,
+)
 from sb3_options.runs.intervals import probability_of_improvement
 
 
@@ -46,7 +57,8 @@ def main(study: Study) -> None:
         Part(
             f"{task}: {arm}",
             partial(run, task, arm, study.episodes, study.noise),
-            study.out / task / arm.replace(", ", "-"),
+            study.out / task / arm.replace(", ", "-").replace(" ", "-"),
+            {"loss": [LOSS_WEIGHT, LOSS_DECAY]} if "loss" in arm else {},
         )
         for task in study.tasks
         for arm in study.arms

@@ -80,9 +80,9 @@ class UntilLearned(BaseCallback):
         return len(self.recent) == EPISODES and float(np.mean(self.recent)) >= LEARNED
 
 
-LOSS_WEIGHT, LOSS_DECAY = 0.1, 0.95
-"""Weight of the demonstration loss in the first update, and its factor after each: λ₀ and λ₁ of Rajeswaran et al.
-(2018), whose advantages are normalised, too."""
+LOSS_WEIGHT, LOSS_DECAY = 0.1, 0.99
+"""Weight of the demonstration loss in the first update, and its factor after each. Rajeswaran et al. (2018) have 0.1
+and 0.95; from twenty demonstrations of KeyCorridorS3R3, seeds 100 and 101 learned with 0.99 and not with 0.95."""
 
 
 class DemonstrationLoss(BaseCallback):

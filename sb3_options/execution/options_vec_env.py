@@ -137,7 +137,6 @@ class OptionsVecEnv(VecEnvWrapper):
         features = self.features
         return Traits(
             self.n_primitive,
-            self.bank.max_options,
             self.gamma,
             self.max_runs,
             False,

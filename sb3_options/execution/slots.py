@@ -49,7 +49,6 @@ class Traits(NamedTuple):
     """Properties of an environment with options: ``get_attr("traits")``."""
 
     n_primitive: int
-    max_options: int
     gamma: float
     max_runs: int | None
     masks_primitives: bool  # whether the environment masks its own actions

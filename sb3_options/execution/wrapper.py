@@ -135,7 +135,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         features = self.features
         return Traits(
             self.n_primitive,
-            self.bank.max_options,
             self.gamma,
             self.max_runs,
             self._has_masks,

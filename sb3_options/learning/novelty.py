@@ -26,9 +26,6 @@ from sb3_options.experience.observations import (
     batch_size,
     flatten,
 )
-from sb3_options.state import declare
-
-declare(RunningMeanStd, "mean", "var", "count")
 
 NoveltyKind: TypeAlias = Literal["counts", "rnd", "noveld", "e3b"]
 """How novelty is measured: by `StateCounts`, `RandomNetworkDistillation`, `NovelD` or `EllipticalBonus`."""

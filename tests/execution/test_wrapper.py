@@ -56,7 +56,7 @@ def test_without_options_it_is_the_environment_itself_bit_for_bit(env_id: str, k
 
 def test_defaults() -> None:
     env = OptionsWrapper(CountingEnv(3))
-    assert env.traits == Traits(3, 4, 0.99, None, False, env.env.observation_space, "identity", (), 1)
+    assert env.traits == Traits(3, 0.99, None, False, env.env.observation_space, "identity", (), 1)
     assert (env.outermost, env.slot_state, env.running_option()) == (env, SlotState(), "primitive action")
     assert (env.action_space, env.check_finite) == (spaces.Discrete(7), False)
 
