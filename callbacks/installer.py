@@ -201,7 +201,7 @@ class OptionInstaller:
     def _odds(self, slot: int, option: Option) -> float | None:
         """Return the odds of a new option against all primitives; None unless the policy samples and masks.
 
-        Options that are available together share the odds that `opening_share` gives.
+        The k-th of the options that are available together gets 1/k of the odds that `opening_share` gives.
         """
         share = self.opening_share
         if not isinstance(self.family, Masked) or share == 1.0:

@@ -58,7 +58,7 @@ class IntrinsicRewardCallback(BaseCallback):
         TypeError: When training starts, the algorithm has no rollouts, or ``e3b`` finds actions that are not discrete.
     """
 
-    STATE = ("novelty", "scale", "_bonus_weight", "_departed_from")
+    STATE = ("novelty", "scale", "_bonus_weight", "_begins", "_original")
 
     def __init__(self, kind: NoveltyKind = "counts", *, weight: float = 0.1, seed: int = 0) -> None:
         super().__init__()
@@ -89,9 +89,9 @@ class IntrinsicRewardCallback(BaseCallback):
         self.scale = self.scale or ReturnScale(gamma, n_envs)
         if len(self.scale.returns) != n_envs:
             self.scale.returns = np.zeros(n_envs)
-        self.novelty = self.novelty or self._new_novelty()
         self._has_options = any(self.training_env.env_is_wrapped(OptionsWrapper))
-        self._departed_from = self._unchanged(self.model._last_obs)
+        self.novelty = self.novelty or self._new_novelty()
+        self._begins = np.zeros(n_envs, dtype=bool)
 
     def _new_novelty(self) -> Novelty:
         venv = self.training_env
@@ -103,7 +103,8 @@ class IntrinsicRewardCallback(BaseCallback):
         if self.kind == "e3b":
             if not isinstance(venv.action_space, spaces.Discrete):
                 raise TypeError(f"'e3b' predicts discrete actions, got {venv.action_space}: choose another kind.")
-            return EllipticalBonus(flat_size(space), int(venv.action_space.n), self.seed)
+            n_actions = venv.get_attr("traits", [0])[0].n_primitive if self._has_options else int(venv.action_space.n)
+            return EllipticalBonus(flat_size(space), n_actions, self.seed)
         if novelty.is_table_like(space):
             return StateCounts(obs_batch.flatten)
         # Counts in a learned feature map would mean something else later.
@@ -114,7 +115,7 @@ class IntrinsicRewardCallback(BaseCallback):
             return StateCounts(obs_batch.flatten, novelty.bin_widths(space))
         raise ValueError(
             f"There is nothing to count in {space}: pass OptionsWrapper(feature_map=...) a function from a batch of "
-            "observations to features (batch, d), or choose 'rnd'."
+            "observations to features (batch, d), or choose another kind."
         )
 
     def _concept_features(self, observations: Observations) -> FloatArray:
@@ -122,6 +123,8 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self._sums.clear()
+        normalizer = self.model.get_vec_normalize_env()
+        self._original = None if normalizer is None else normalizer.get_original_obs()
 
     def _on_step(self) -> bool:
         assert self.novelty is not None  # made when training started
@@ -148,46 +151,50 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _steps(self, runs: list[OptionRun | None]) -> Steps | None:
         """Return the primitive steps of all environments; None if there are none."""
-        departed, self._departed_from = self._departed_from, self._unchanged(self.locals["new_obs"])
         parts = []
+        self._begins |= self.model._last_episode_starts
+        departed_from, arrived_in = self._observations()
         for env, run in enumerate(runs):
-            if run is not None and run.duration == 0:  # it goes on, and reports its steps when it ends
-                continue
+            info = self.locals["infos"][env]
+            if info.get("lost") or (run is not None and run.termination == "running"):
+                continue  # it was no step, or it goes on and is reported when it ends
             here = slice(env, env + 1)
-            done, info = self.locals["dones"][env], self.locals["infos"][env]
-            before, after = obs_batch.take(departed, here), obs_batch.take(self._departed_from, here)
-            if done and info.get("terminal_observation") is not None:
+            before, after = obs_batch.take(departed_from, here), obs_batch.take(arrived_in, here)
+            if self.locals["dones"][env] and info.get("terminal_observation") is not None:
                 last = obs_batch.batch_of_one(info["terminal_observation"])
                 after = as_wrapper_sees(self.training_env, last, normalized=True)
             if run is not None and run.observations is not None:
                 before = run.observations
                 after = obs_batch.concatenate([obs_batch.take(before, slice(1, None)), after])
             actions = self.locals["actions"][here] if run is None or run.actions is None else run.actions
-            ends = [*[False] * (len(actions) - 1), done]
-            parts.append((before, actions, after, [env] * len(actions), ends))
+            parts.append((before, actions, after, [env] * len(actions), np.arange(len(actions)) < self._begins[env]))
+            self._begins[env] = False
         if not parts:
             return None
-        befores, acted, afters, envs, ended = zip(*parts, strict=True)
+        befores, acted, afters, envs, begins = zip(*parts, strict=True)
         concatenate = obs_batch.concatenate
         return Steps(
             concatenate(befores),
             np.concatenate(acted),
             concatenate(afters),
             np.concatenate(envs),
-            np.concatenate(ended),
+            np.concatenate(begins),
         )
 
-    def _unchanged(self, observations: Any) -> Any:
-        """Return a copy of the observations of the last step as the environments gave them."""
+    def _observations(self) -> tuple[Any, Any]:
+        """Return the observations before and after the last step of all environments, as these gave them."""
+        venv = self.training_env
         normalizer = self.model.get_vec_normalize_env()
         if normalizer is None:
-            return obs_batch.copy_of(as_wrapper_sees(self.training_env, observations))
-        # The originals: normalisation may have clipped the others.
-        return as_wrapper_sees(normalizer.venv, normalizer.get_original_obs())
+            last: Any = self.model._last_obs  # SB3 replaces it after the callbacks
+            return as_wrapper_sees(venv, last), as_wrapper_sees(venv, self.locals["new_obs"])
+        # The originals: normalisation may have clipped the others, and its statistics have changed.
+        before, self._original = self._original, normalizer.get_original_obs()
+        return as_wrapper_sees(normalizer.venv, before), as_wrapper_sees(normalizer.venv, self._original)
 
 
 def _discounted(run: OptionRun | None, bonuses: FloatArray) -> float:
     """Return Σ γⁱ bᵢ over the primitive steps of a run."""
-    if run is None or len(bonuses) == 1:
-        return float(bonuses[0])
+    if run is None or len(bonuses) <= 1:
+        return float(bonuses.sum())
     return float(run.gamma ** np.arange(len(bonuses)) @ bonuses)

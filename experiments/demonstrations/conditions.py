@@ -86,7 +86,11 @@ and 0.95; from twenty demonstrations of KeyCorridorS3R3, seeds 100 and 101 learn
 
 
 class DemonstrationLoss(BaseCallback):
-    """Adds the gradient of the demonstrations' decisions to each of PPO's: DAPG (Rajeswaran et al. 2018, eq. 7)."""
+    """Adds the gradient of the demonstrations' decisions to each of PPO's: DAPG (Rajeswaran et al. 2018, eq. 7).
+
+    As in the authors' code, the largest advantage is left out of the weight. The loss is the mean of a random batch,
+    and its gradient is added after PPO's was clipped.
+    """
 
     def __init__(self, discovery: SubgoalDiscoveryCallback, demonstrations: Sequence[Trajectory]) -> None:
         super().__init__()

@@ -50,8 +50,8 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     as the environment itself, bit for bit.
 
     If the environment has its own ``action_masks()``, slots respect it. An option ends if its next primitive is masked,
-    and may not start if its first one is. If it is chosen nevertheless, slot i acts like an
-    empty slot: it runs the first legal primitive from i mod n_primitive on.
+    and may not start if its first one is. If it is chosen nevertheless, slot i acts like an empty slot: it runs the
+    first legal primitive from i mod n_primitive on.
 
     Args:
         env: Its action space must be ``Discrete`` and start at 0.

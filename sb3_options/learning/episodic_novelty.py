@@ -7,11 +7,14 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from sb3_options.experience.observations import FloatArray, flatten, keys_of
+from sb3_options.density.arrays import short_key
+from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.learning.novelty import N_FEATURES, NetworkNovelty, RandomNetworkDistillation, Steps, network
 
 ALPHA = 0.5
 """Share of the novelty of the observation before that `NovelD` subtracts (Zhang et al. 2021, α)."""
+
+DECIMALS = 5  # to which observations are rounded before they are compared: normalisation leaves rounding errors
 
 RIDGE = 0.1
 """Multiple of the identity that `EllipticalBonus` begins an episode with (Henaff et al. 2022, λ)."""
@@ -21,7 +24,8 @@ class NovelD(RandomNetworkDistillation):
     """Gain of novelty, the first time that an observation is visited in its episode (Zhang et al. 2021, eq. 2).
 
     b = max(nov(s') − α nov(s), 0) · 1{N_episode(s') = 1}. Here nov is the root of the error of random network
-    distillation, so a bonus is given on the border between known and new observations.
+    distillation, so a bonus is given on the border between known and new observations. Observations that are equal to
+    `DECIMALS` decimals are one. In continuous spaces hardly any are, so nearly every visit is a first one.
     """
 
     STATE = ("seen",)
@@ -32,27 +36,31 @@ class NovelD(RandomNetworkDistillation):
 
     def bonuses(self, steps: Steps) -> FloatArray:
         """Return the bonus of each primitive step, (n,), and learn from it."""
-        rows = flatten(steps.after)
-        self.statistics.update(rows)
-        normalized = self.normalized(rows)
-        before = np.sqrt(self.errors(self.normalized(flatten(steps.before))))
+        left, arrived = flatten(steps.before), flatten(steps.after)
+        self.statistics.update(arrived)
+        normalized = self.normalized(arrived)
+        before = np.sqrt(self.errors(self.normalized(left)))
         bonuses = np.maximum(np.sqrt(self.errors(normalized)) - ALPHA * before, 0.0)
         self.learn(normalized)
-        each = zip(steps.envs.tolist(), keys_of(steps.before), keys_of(steps.after), steps.ends.tolist(), strict=True)
-        for i, (env, left, arrived, ended) in enumerate(each):
-            seen = self.seen.setdefault(env, {left})
-            bonuses[i] *= arrived not in seen
-            seen.add(arrived)
-            if ended:
-                del self.seen[env]
+        each = zip(steps.envs.tolist(), steps.begins.tolist(), keys_of(left), keys_of(arrived), strict=True)
+        for i, (env, begins, here, there) in enumerate(each):
+            if begins or env not in self.seen:
+                self.seen[env] = {here}
+            bonuses[i] *= there not in self.seen[env]
+            self.seen[env].add(there)
         return bonuses
+
+
+def keys_of(rows: FloatArray) -> list[bytes]:
+    """Return a key for each flat observation of a batch, equal for those that are one."""
+    return [short_key(row.tobytes()) for row in rows.round(DECIMALS) + 0.0]  # + 0.0: −0 is 0
 
 
 class EllipticalBonus(NetworkNovelty):
     """E3B: how little the features of an observation resemble those of its episode so far (Henaff et al. 2022).
 
-    b = ψ(s')ᵀ C⁻¹ ψ(s') with C = λ I + Σ ψ ψᵀ over the observations that the episode arrived in before (eq. 2). The
-    encoder ψ learns to predict the primitive action from ψ(s) and ψ(s').
+    b = ψ(s')ᵀ C⁻¹ ψ(s') with C = λ I + Σ ψ ψᵀ over the episode's earlier observations, the first one included (eq. 2).
+    The encoder ψ learns to predict the primitive action from ψ(s) and ψ(s').
     """
 
     STATE = ("encoder", "inverse_dynamics", "inverses")
@@ -69,23 +77,31 @@ class EllipticalBonus(NetworkNovelty):
         """Return the bonus of each primitive step, (n,), and learn from it."""
         rows = flatten(steps.after)
         self.statistics.update(rows)
-        normalized = self.normalized(rows)
-        with torch.no_grad():
-            features = self.encoder(normalized).double().numpy()
-        self.learn(self.normalized(flatten(steps.before)), torch.as_tensor(steps.actions), normalized)
+        left, arrived = self.normalized(flatten(steps.before)), self.normalized(rows)
+        here, there = self._encoded(left), self._encoded(arrived)
+        self.learn(left, torch.as_tensor(steps.actions, dtype=torch.int64), arrived)
         bonuses = np.empty(len(rows))
-        each = zip(steps.envs.tolist(), features, steps.ends.tolist(), strict=True)
-        for i, (env, feature, ended) in enumerate(each):
-            inverse = self.inverses.setdefault(env, np.eye(N_FEATURES) / RIDGE)
-            change = inverse @ feature
-            bonuses[i] = feature @ change
-            inverse -= np.outer(change, change) / (1.0 + bonuses[i])  # Sherman and Morrison
-            if ended:
-                del self.inverses[env]
+        for i, (env, begins) in enumerate(zip(steps.envs.tolist(), steps.begins.tolist(), strict=True)):
+            if begins or env not in self.inverses:
+                self.inverses[env] = np.eye(N_FEATURES) / RIDGE
+                _include(here[i], self.inverses[env])
+            bonuses[i] = _include(there[i], self.inverses[env])
         return bonuses
+
+    def _encoded(self, normalized: torch.Tensor) -> FloatArray:
+        with torch.no_grad():
+            return np.asarray(self.encoder(normalized).double().numpy())
 
     def loss_of(self, *visited: torch.Tensor) -> torch.Tensor:
         """Return the cross-entropy of the predicted actions."""
         before, actions, after = visited
         features = torch.cat([self.encoder(before), self.encoder(after)], dim=1)
         return functional.cross_entropy(self.inverse_dynamics(features), actions)
+
+
+def _include(feature: FloatArray, inverse: FloatArray) -> float:
+    """Return ψᵀ C⁻¹ ψ, and add ψ ψᵀ to C (Sherman & Morrison)."""
+    change = inverse @ feature
+    bonus = float(feature @ change)
+    inverse -= np.outer(change, change) / (1.0 + bonus)
+    return bonus

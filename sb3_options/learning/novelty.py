@@ -51,14 +51,14 @@ class Steps(NamedTuple):
         actions: Primitive actions, (n,).
         after: Observations arrived in, (n, ...).
         envs: Numbers of the environments, (n,).
-        ends: Whether the step ended its episode, (n,).
+        begins: Whether the step is the first of its episode, (n,).
     """
 
     before: Observations
     actions: IntArray
     after: Observations
     envs: IntArray
-    ends: BoolArray
+    begins: BoolArray
 
 
 class StateCounts:
