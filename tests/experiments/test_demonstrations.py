@@ -1,16 +1,23 @@
 """The study of demonstrations."""
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from sb3_contrib import MaskablePPO
 
 from experiments.demonstrations.__main__ import Study, draw
-from experiments.demonstrations.conditions import ARMS, run
+from experiments.demonstrations.conditions import ARMS, LOSS_DECAY, DemonstrationLoss, run
 from experiments.demonstrations.experts import expert_of
-from sb3_options import record_demonstrations
+from sb3_options import OptionsWrapper, record_demonstrations
+from sb3_options.callbacks import SubgoalDiscoveryCallback
+from sb3_options.callbacks.cloning import Imitation
+from sb3_options.envs import GridWorld
 from sb3_options.envs.minigrid import make
+
+RIGHT = 3
 
 
 @pytest.mark.parametrize(
@@ -59,6 +66,28 @@ def test_a_run_that_did_not_learn_is_beyond_the_edge_of_the_picture() -> None:
     with_options, without = (np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines)
     assert with_options[-2:, 0].tolist() == [10_000, 20_000]
     assert without[without[:, 0] <= axes.get_xlim()[1], 1].max() == 0.5
+
+
+def test_the_demonstration_loss_is_in_every_gradient_until_training_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Updates of PPO's own are too small to matter. Without the loss the policy stays as it was, with it the
+    demonstrations become more probable."""
+    env = OptionsWrapper(GridWorld("S.G", max_steps=20), 0, gamma=0.9)
+    shown = record_demonstrations(env, lambda _: RIGHT, 5, seed=0)
+    assert all(each.is_success for each in shown)
+    likely = []
+    for weight in (0.0, 1.0):
+        monkeypatch.setattr("experiments.demonstrations.conditions.LOSS_WEIGHT", weight)
+        discovery = SubgoalDiscoveryCallback(demonstrations=shown, clone=False, max_new_options=0)
+        loss = DemonstrationLoss(discovery, shown)
+        model = MaskablePPO(
+            "MlpPolicy", env, 0.01, gamma=0.9, seed=0, n_steps=32, batch_size=32, n_epochs=1, max_grad_norm=1e-9
+        )
+        model.learn(32 * 8, [discovery, loss])
+        likely.append(math.exp(-Imitation(model, discovery.bank, shown).loss().item()))
+        assert loss.weight == pytest.approx(weight * LOSS_DECAY**7)
+        assert not model.policy.optimizer._optimizer_step_pre_hooks
+    assert likely[0] == pytest.approx(0.25, abs=0.02)
+    assert likely[1] > 0.35
 
 
 @pytest.mark.slow
