@@ -40,6 +40,7 @@ class Study(Flags):
     Attributes:
         episodes: That are shown.
         noise: Share of the expert's actions that are random.
+        shown_in: Another task, in which the expert acts; by default the one that is learned.
         tasks: Which.
         arms: What is compared.
     """
@@ -47,6 +48,7 @@ class Study(Flags):
     runs: int = 8
     episodes: int = 100
     noise: float = 0.0
+    shown_in: str | None = None
     tasks: tuple[str, ...] = tuple(TASKS)
     arms: tuple[Arm, ...] = ARMS
 
@@ -56,7 +58,7 @@ def main(study: Study) -> None:
     parts = [
         Part(
             f"{task}: {arm}",
-            partial(run, task, arm, study.episodes, study.noise),
+            partial(run, task, arm, study.episodes, study.noise, shown_in=study.shown_in),
             study.out / task / arm.replace(", ", "-").replace(" ", "-"),
             {"loss": [LOSS_WEIGHT, LOSS_DECAY]} if "loss" in arm else {},
         )
@@ -71,6 +73,8 @@ def main(study: Study) -> None:
         "ppo": PPO,
         "cloned": after_cloning(study.episodes),
     }
+    if study.shown_in is not None:
+        settings["shown_in"] = study.shown_in
     results = run_parts(parts, study.seeds(), settings=settings, on=study, description="Training")
     summary: dict[str, dict[str, Any]] = {}
     for name, runs in results.items():
@@ -83,6 +87,7 @@ def main(study: Study) -> None:
         }
     command = f"python -m experiments.demonstrations --runs {study.runs} --first-seed {study.first_seed}"
     command += f" --episodes {study.episodes} --noise {study.noise}"
+    command += "" if study.shown_in is None else f" --shown-in {study.shown_in}"
     command += f" --tasks {shlex.join(study.tasks)} --arms {shlex.join(study.arms)}"
     write(
         study.out,

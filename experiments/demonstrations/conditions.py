@@ -128,17 +128,20 @@ def after_cloning(episodes: int) -> dict[str, Any]:
     return CLONED_FROM_MANY if episodes >= MANY else CLONED
 
 
-def run(task: str, arm: Arm, episodes: int, noise: float, seed: int) -> Result:
-    """Frames until learned, those of the demonstrations and of random failures included; None where it is not."""
+def run(task: str, arm: Arm, episodes: int, noise: float, seed: int, shown_in: str | None = None) -> Result:
+    """Frames until learned, those of the demonstrations and of random failures included; None where it is not.
+
+    ``shown_in``: another task, in which the expert acts and random actions fail.
+    """
     max_options = MAX_OPTIONS if "options" in arm else 0
     cloned = dict(after_cloning(episodes)) if "cloning" in arm else {"max_runs": None}
     max_runs = cloned.pop("max_runs")
 
-    def wrapped() -> OptionsWrapper:
-        observed = make(task, mission=task in MISSIONS, last_action=True)
+    def wrapped(env_id: str = task) -> OptionsWrapper:
+        observed = make(env_id, mission=task in MISSIONS, last_action=True)
         return OptionsWrapper(observed, max_options, gamma=GAMMA, max_runs=max_runs)
 
-    env = wrapped()
+    env = wrapped(shown_in or task)
     shown = record_demonstrations(env, expert_of(env, noise, seed), episodes, seed=FIRST_SEED + 1000 * seed)
     walks = min(episodes, FAILURES) if max_options else 0
     failures = env.random_trajectories(walks, max(map(len, shown)), FIRST_SEED + 1000 * seed)
