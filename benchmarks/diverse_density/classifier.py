@@ -30,7 +30,7 @@ class DiverseDensityClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[
 
     Climbs from every start and averages what the concepts at the ends say, Pr(positive) = mean over starts of
     1 − Π_j (1 − p_j). A single best concept depends much on which bags it saw; the average less so. The defaults were
-    fixed on synthetic bags (docs/concepts/density.md). Features are divided by their standard deviation over all
+    fixed on synthetic bags (docs/studies/density.md). Features are divided by their standard deviation over all
     training instances; those that do not vary are left out.
 
     Args:
