@@ -47,7 +47,8 @@ class Salience:
             return False
         self._n += 1
         self._successes += trajectory.success
-        came = [group.is_place(trajectory.features).any() for group in self.groups]
+        seen = trajectory.features.any(axis=0)
+        came = [seen[list(group.present[0])].any() for group in self.groups]
         self._came += np.array(came, dtype=np.int64)
         before = self.rare
         self.rare = ()
