@@ -85,8 +85,8 @@ FRESH = {
 of their rivals, which end in -fresh."""
 
 FEATURES = {"four rooms": "four-rooms", "six rooms": "six-rooms", "key corridors": "key-corridor"}
-"""Tasks where agents see φ beside the observation, or options have proposed groups, and the files of these agents,
-which end in -features and -proposed."""
+"""Tasks where agents see φ beside the observation, options have proposed groups, or rivals have other bonuses. Files of
+these agents end in -features, -proposed and -bonuses."""
 
 REACHING = {
     **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},
@@ -144,6 +144,7 @@ def main(of: Ratios) -> None:
         "fresh": fresh_table,
         "features": lambda results: paired_table(results, "features", "discovered, "),
         "proposed": lambda results: paired_table(results, "proposed", "proposed"),
+        "bonuses": lambda results: paired_table(results, "bonuses", "discovered, "),
         "reach": reach_table,
     }
     fill(of.document, {name: draw_up(of.results) for name, draw_up in parts.items()})
@@ -230,12 +231,14 @@ def fresh_table(results: Path) -> str:
 
 def paired_table(results: Path, ending: str, prefix: str) -> str:
     """Frames of the agent whose name has the prefix, as a share of those of other agents, of equal seeds."""
-    what = "options" if ending == "features" else "proposed groups"
+    what = "proposed groups" if ending == "proposed" else "options"
     rows = [
         f"| | runs of 8 that arrive | frames | frames with {what}, of these | processor seconds |",
         "|---" * 5 + "|",
     ]
     for task, file in FEATURES.items():
+        if not (results / f"minigrid-{file}-{ending}.json").is_file():
+            continue
         arms = _summary_of(results, f"{file}-{ending}")["arms"]
         frames = {
             arm: np.minimum(frames_of(results, Of(f"{file}-{ending}", arm)), FRAMES[task]) for arm in sorted(arms)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.experience.observations import take
+from sb3_options.experience.observations import BoolArray, take
 from sb3_options.experience.trajectories import LabelledTrajectory, TrajectoryDatabase
 
 LEAST_TRAJECTORIES = 16
@@ -47,7 +47,7 @@ class Salience:
             return False
         self._n += 1
         self._successes += trajectory.success
-        seen = trajectory.features.any(axis=0)
+        seen: BoolArray = np.any(trajectory.features, axis=0)
         came = [seen[list(group.present[0])].any() for group in self.groups]
         self._came += np.array(came, dtype=np.int64)
         before = self.rare
