@@ -62,7 +62,8 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def __init__(self, kind: NoveltyKind = "counts", *, weight: float = 0.1, seed: int = 0) -> None:
         super().__init__()
-        if kind not in get_args(NoveltyKind) or not (is_number(weight) and 0.0 <= weight < math.inf):
+        known = isinstance(kind, str) and kind in get_args(NoveltyKind)
+        if not (known and is_number(weight) and 0.0 <= weight < math.inf):
             kinds = ", ".join(map(repr, get_args(NoveltyKind)))
             raise ValueError(
                 f"kind must be one of {kinds}, and weight finite and at least 0, got {kind!r} and {weight!r}."
