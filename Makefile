@@ -17,7 +17,7 @@ test: $(READY)  ## The fast tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" $(ARGS)
 
 test-slow: $(READY)  ## Those that train or simulate for minutes
-	$(BIN)/python -m pytest -n 3 --dist loadgroup -m slow $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m slow $(ARGS)
 
 docs: $(READY)  ## The site, with the API reference and the notebooks run anew, into out/docs/html
 	$(BIN)/python -m sphinx --fresh-env --fail-on-warning --keep-going -b html --conf-dir docs . out/docs/html $(ARGS)
