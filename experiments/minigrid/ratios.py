@@ -85,8 +85,9 @@ FRESH = {
 of their rivals, which end in -fresh."""
 
 FEATURES = {"four rooms": "four-rooms", "six rooms": "six-rooms", "key corridors": "key-corridor"}
-"""Tasks where agents see φ beside the observation, options have proposed groups, or rivals have other bonuses. Files of
-these agents end in -features, -proposed and -bonuses."""
+PAIRED = {"features": FEATURES, "proposed": FEATURES, "bonuses": {"key corridors": "key-corridor"}}
+"""Tasks where agents see φ beside the observation, options have proposed groups, or rivals have other bonuses, and the
+files of these agents, by the ending of their names."""
 
 REACHING = {
     **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},
@@ -236,9 +237,7 @@ def paired_table(results: Path, ending: str, prefix: str) -> str:
         f"| | runs of 8 that arrive | frames | frames with {what}, of these | processor seconds |",
         "|---" * 5 + "|",
     ]
-    for task, file in FEATURES.items():
-        if not (results / f"minigrid-{file}-{ending}.json").is_file():
-            continue
+    for task, file in PAIRED[ending].items():
         arms = _summary_of(results, f"{file}-{ending}")["arms"]
         frames = {
             arm: np.minimum(frames_of(results, Of(f"{file}-{ending}", arm)), FRAMES[task]) for arm in sorted(arms)
