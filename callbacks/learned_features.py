@@ -83,8 +83,10 @@ class LearnedFeatures:
         """Remember the observations behind an option's regions, which were made from features in the database.
 
         If an initiation set has only lost points, its observations are known. Their trajectories may have left the
-        database.
+        database. In a map that stays fixed regions never move.
         """
+        if self.map.fixed:
+            return
         known = self._anchors.get(slot)
         points = option.initiation_set.points
         if known is None:

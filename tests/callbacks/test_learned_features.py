@@ -18,6 +18,7 @@ from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.envs import GridWorld
 from sb3_options.experience.trajectories import LabelledTrajectory
 from sb3_options.learning.macro_q import MacroQ
+from sb3_options.options.option import SubgoalOption
 from tests.callbacks.doorway import discovered, model_of
 from tests.callbacks.test_checkpoint_resuming import check_resumes
 from tests.support.helpers import equal
@@ -161,10 +162,16 @@ def test_a_file_holds_the_map(tmp_path: Path) -> None:
     assert equal(fresh.concept_features(states), env.concept_features(states))
     np.testing.assert_array_equal(fresh.available(states), env.available(states))
     loaded = load_model(DQN, tmp_path / "model.zip", temporal_rooms())
-    again = callback_with(max_new_options=0)
+    again = callback_with(max_new_options=0, option_settings={"grow": False})
     loaded.learn(600, again)
     assert parts_of(again)[1].map.fixed
     np.testing.assert_array_equal(again.bank.available(states), env.available(states))
+    option = again.bank[0]
+    assert isinstance(option, SubgoalOption)
+    start = option.initiation_set.points[:1]
+    fewer = dataclasses.replace(option.initiation_set, points=start)
+    again._keeper.replace(0, dataclasses.replace(option, initiation_set=fewer))
+    assert again.bank.available(states)[:, 4].sum() < env.available(states)[:, 4].sum()
 
 
 @pytest.mark.usefixtures("keep_all")
