@@ -85,7 +85,11 @@ FRESH = {
 of their rivals, which end in -fresh."""
 
 FEATURES = {"four rooms": "four-rooms", "six rooms": "six-rooms", "key corridors": "key-corridor"}
-PAIRED = {"features": FEATURES, "proposed": FEATURES, "bonuses": {"key corridors": "key-corridor"}}
+PAIRED = {
+    "features": FEATURES,
+    "proposed": FEATURES,
+    "bonuses": {"four rooms": "four-rooms", "key corridors": "key-corridor"},
+}
 """Tasks where agents see φ beside the observation, options have proposed groups, or rivals have other bonuses, and the
 files of these agents, by the ending of their names."""
 
