@@ -21,6 +21,7 @@ from experiments.minigrid import settings
 from experiments.minigrid.hand_made import MadeBy
 from experiments.minigrid.settings import WITH_OPTIONS, Arm
 from sb3_options import OptionsWrapper
+from sb3_options.embedding.settings import MapName
 from sb3_options.envs.minigrid import make
 from sb3_options.experience.observations import BoolArray
 
@@ -38,6 +39,7 @@ def venv_of(
     options: Path | None = None,
     by_hand: MadeBy | None = None,
     with_features: bool = False,
+    with_map: bool = False,
 ) -> VecEnv:
     """Parallel environments of one task.
 
@@ -50,13 +52,15 @@ def venv_of(
         options: File of the options they begin with.
         by_hand: Makes options, as many as there are slots, from φ.
         with_features: Whether the agent sees φ, too.
+        with_map: Whether φ is learned.
     """
 
     def wrapped(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         env = FeaturesBeside(env) if with_features else env
         if not slots:
             return env
-        optioned = OptionsWrapper(env, slots, gamma=settings.GAMMA, options_file=options)
+        feature_map: MapName | None = "temporal-distance" if with_map else None
+        optioned = OptionsWrapper(env, slots, gamma=settings.GAMMA, feature_map=feature_map, options_file=options)
         for option in by_hand(optioned.concept_features)[:slots] if by_hand else ():
             optioned.bank.add(option)
         return optioned

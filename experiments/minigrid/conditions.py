@@ -84,7 +84,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
     slots = settings.max_options(family) if arm in WITH_OPTIONS else 0
     n_envs = settings.ZOO_N_ENVS if arm == ZOO_ARM else settings.N_ENVS
     how: dict[str, Any] = {"n_envs": n_envs, "slots": slots, "by_hand": _by_hand(arm)}
-    how["with_features"] = arm in settings.WITH_FEATURES
+    how |= {"with_features": arm in settings.WITH_FEATURES, "with_map": arm in settings.WITH_MAP}
     stages = stages_of(family, arm)
     before: VecEnv | None = None
     groups: Sequence[FeatureGroup] | None = None
@@ -164,7 +164,7 @@ def callbacks_of(
         is_drawn = arm in (*settings.RANDOM, *settings.CONTRASTING)
         drawn = RandomGrouped(contrasting=arm in settings.CONTRASTING, seed=seed) if is_drawn else None
         discovery = SubgoalDiscoveryCallback(
-            settings.DISCOVERY,
+            settings.WITHOUT_GROUPS if arm in settings.WITH_MAP else settings.DISCOVERY,
             settings.options_of(stage),
             method=drawn,
             max_new_options=0 if is_last and stage else None,

@@ -10,6 +10,7 @@ Arm = Literal[
     "discovered", "discovered, RND", "discovered, RND at first", "discovered, RND before the last",
     "discovered with φ, RND at first", "discovered with φ, RND before the last",
     "proposed groups, RND at first", "proposed groups, RND before the last",
+    "learned map, RND at first", "learned map, RND before the last",
     "random subgoals", "random subgoals, RND at first", "random subgoals, RND before the last",
     "contrasting subgoals", "contrasting subgoals, RND at first", "contrasting subgoals, RND before the last",
     "hand-made", "hand-made subgoals", "hand-made subgoals, 3 cells", "hand-made subgoals, 2 cells",
@@ -26,7 +27,8 @@ for what is new in each task. ``with φ``: the agent sees φ beside the observat
 are discovered in the stages before the last, and kept; ``discovered, RND``: with the bonus. ``RND at first``: with
 the bonus in the first task alone; ``RND before the last``: in all but the last. ``NovelD`` and ``E3B``: with these
 bonuses instead. ``proposed groups``: as
-``discovered``, but groups of features are proposed from random walks in the first task. ``random subgoals``: as
+``discovered``, but groups of features are proposed from random walks in the first task. ``learned map``: φ is learned
+from the observation, without groups. ``random subgoals``: as
 ``discovered``, but subgoals are drawn, not found; ``contrasting subgoals``: drawn from what successes visit oftener
 than failures. ``hand-made``: options by hand from the first step on, the bound. ``hand-made subgoals``: by hand, to
 the subgoals that discovery finds in rooms, from wherever they are in view, or from so many cells away."""
@@ -34,7 +36,8 @@ the subgoals that discovery finds in rooms, from wherever they are in view, or f
 RANDOM: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("random"))
 CONTRASTING: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("contrasting"))
 PROPOSED: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("proposed"))
-DISCOVERED: tuple[Arm, ...] = (*(arm for arm in ARMS if arm.startswith("discovered")), *PROPOSED)
+WITH_MAP: tuple[Arm, ...] = tuple(arm for arm in ARMS if arm.startswith("learned map"))
+DISCOVERED: tuple[Arm, ...] = (*(arm for arm in ARMS if arm.startswith("discovered")), *PROPOSED, *WITH_MAP)
 DISCOVERING: tuple[Arm, ...] = (*DISCOVERED, *RANDOM, *CONTRASTING)
 HAND_MADE: dict[Arm, int | None] = {
     "hand-made subgoals": None, "hand-made subgoals, 3 cells": 3, "hand-made subgoals, 2 cells": 2,
@@ -164,6 +167,9 @@ DISCOVERY: dict[str, Any] = {
 """Successes are rare at first, so many trajectories are kept, and what is rarely come upon stands for them. On few
 features near the start is nearly everywhere. What stands out by its contrast is no accident, so peaks need not persist
 for long. The study was run before there was a `max_share`."""
+
+WITHOUT_GROUPS: dict[str, Any] = {"capacity": 500, "max_share": None}
+"""Those of a learned map, where all features count together. The others are the library's defaults."""
 
 GROWING_STAGES = 2
 """After so many tasks options stay as they are. In a third one a later version is another more than a better one, and
