@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any
 
 from sb3_options.callbacks.checks import check_training
-from sb3_options.callbacks.cloning import can_clone, clone
+from sb3_options.callbacks.cloning import MarginLoss, can_clone, clone, fit_values
 from sb3_options.callbacks.demonstrated import labelled, with_failures
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.callbacks.keeper import ClosedOption, OptionKeeper
@@ -63,7 +63,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         usefulness: How options are judged, and useless ones closed: `UsefulnessSettings`.
         demonstrations: Successful trajectories from `record_demonstrations`, or a file of them. They yield options
             before the first step. If they hold no failures, a random policy provides some.
-        clone: Whether the policy of PPO, A2C, TRPO or MaskablePPO first clones the decisions of the demonstrations.
+        clone: Whether the policy first clones the decisions of the demonstrations; not for RecurrentPPO and MacroQ.
+            DQN, QRDQN and OptionDQN keep them in their replay buffer and their loss (Hester et al. 2018).
         verbose: 1 prints each new option, the learning of a feature map and, if no option was made, the reason.
 
     `bank` holds the options, `discoveries` when and where each was found, `closed` the closed options, and `history`
@@ -76,7 +77,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         TypeError: An argument is of the wrong kind.
     """
 
-    STATE = ("episodes", "history", "discovery", "_keeper", "_cloned_at")
+    STATE = ("episodes", "history", "discovery", "_keeper", "_cloned_at", "_margin")
 
     def __init__(
         self,
@@ -119,6 +120,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self.closed = self._keeper.closed
         self._began = 0
         self._cloned_at: int | None = None  # episodes before the policy was cloned from many demonstrations
+        self._margin: MarginLoss | None = None
         self._ended = True
 
     @property
@@ -160,6 +162,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         peaks = self.settings.segmentation == "peaks"
         venv.env_method("set_slots", record=True, max_segment=self.settings.max_segment if peaks else None)
         self._ended = False
+        if self._margin is not None:
+            self._margin.bank = self._installer.bank
+            self._margin.begin()
         if begins and self.demonstrations is not None:
             self._learn_from_demonstrations(self.demonstrations, seed)
 
@@ -172,14 +177,23 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             if (normalizer := self.model.get_vec_normalize_env()) is not None:
                 self.model._last_original_obs = normalizer.get_original_obs()
         if self.clone and can_clone(self.model):
-            options = self._keeper.options
-            options.on_rollout_start()  # no rollout has started, and the heads must be open
-            successes = [each for each, success in shown if success]
-            probability = clone(self.model, options.bank, successes)
-            if len(successes) >= MANY:
-                self._cloned_at = len(self.history)
-            if self.verbose:
-                print(f"Cloned {len(successes)} demonstrations: mean probability of a decision {probability:.2f}")
+            self._clone([each for each, success in shown if success])
+
+    def _clone(self, successes: list[Trajectory]) -> None:
+        options = self._keeper.options
+        options.on_rollout_start()  # no rollout has started, and the heads must be open
+        buffer = options.family.replay_buffer
+        if buffer is None:
+            about = f": mean probability of a decision {clone(self.model, options.bank, successes):.2f}"
+        else:
+            self._margin = MarginLoss(self.model, options.bank, successes)
+            self._margin.begin()
+            fit_values(self._margin, buffer)
+            about = ""
+        if len(successes) >= MANY:
+            self._cloned_at = len(self.history)
+        if self.verbose:
+            print(f"Cloned {len(successes)} demonstrations{about}")
 
     def _groups(self, traits: Traits) -> tuple[FeatureGroup, ...]:
         """Return the groups of features to search: those of the settings, or else of the environment or φ."""
@@ -264,6 +278,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self._ended:  # rl-zoo3 ends training twice, and also after a refusal
             return
         self._ended = True
+        if self._margin is not None:
+            self._margin.end()
         super()._on_training_end()
         if self.closed or len(self.bank):  # without closed options, and with the present state of the others
             save_or_warn(self._keeper.options.bank, self.save_path)

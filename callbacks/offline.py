@@ -37,7 +37,7 @@ def discover(
     Raises:
         ValueError: The trajectories do not fit the environment, or none succeeded.
     """
-    callback = SubgoalDiscoveryCallback(demonstrations=trajectories, **settings)
+    callback = SubgoalDiscoveryCallback(demonstrations=trajectories, **{**settings, "clone": False})
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
     gamma = env.get_wrapper_attr("gamma")
     DQN(policy, env, gamma=gamma, buffer_size=1, seed=seed).learn(0, callback)

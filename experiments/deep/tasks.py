@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sb3_options.envs import GridWorld
+from sb3_options.experience.observations import FloatArray
 
 SLACK = 4.0
 """An episode is a success if it takes at most this many times the steps that the best policy takes on average."""
@@ -47,15 +48,24 @@ TASKS = {
 
 
 def optimal_steps(world: GridWorld) -> float:
-    """Expected steps to the goal of the best policy, the mean over the start cells (value iteration)."""
+    """Expected steps to the goal of the best policy, the mean over the start cells."""
+    return float(steps_after(world).min(axis=0)[world._start_states].mean())
+
+
+def steps_after(world: GridWorld) -> FloatArray:
+    """Expected steps to the goal, by direction and state, if the best policy follows (value iteration).
+
+    From inside a wall there is no way out, and nothing that is returned counts.
+    """
     successors = np.asarray(world._grid.successors)  # (directions, states)
     starts, p = world._start_states, world._success_probability
     goal = np.asarray(world._is_goal)
     steps = np.zeros(successors.shape[1])
     while True:
         after = steps[successors]
-        best = 1.0 + (p * after + (1 - p) * after.mean(axis=0)).min(axis=0)
+        by_direction = 1.0 + (p * after + (1 - p) * after.mean(axis=0))
+        best = by_direction.min(axis=0)
         best[goal] = 0.0
-        if np.abs(best - steps)[starts].max() < 1e-9:  # from inside a wall there is no way out
-            return float(best[starts].mean())
+        if np.abs(best - steps)[starts].max() < 1e-9:
+            return np.asarray(by_direction)
         steps = best

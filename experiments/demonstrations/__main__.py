@@ -1,7 +1,7 @@
 """``python -m experiments.demonstrations --runs 8 --out FOLDER``: frames to 0.8 success from a few demonstrations.
 
-MaskablePPO with the options discovered in them, with its policy cloned, and with both. It writes ``results.json`` and
-``demonstrations.png``. Interrupted, it goes on where it was.
+MaskablePPO and DQN with the options discovered in them, with cloning, with both, and rivals. It writes
+``results.json`` and ``demonstrations.png``. Interrupted, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from experiments.common.seeds import Part, Result, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.demonstrations.conditions import (
     ARMS,
+    DQN,
     EPISODES,
     LEARNED,
     LOSS_DECAY,
     LOSS_WEIGHT,
-    PPO,
-    TASKS,
     Arm,
     after_cloning,
     run,
 )
+from experiments.demonstrations.tasks import TASKS
 from sb3_options.runs.intervals import probability_of_improvement
 
 
@@ -68,9 +68,10 @@ def main(study: Study) -> None:
     settings: dict[str, Any] = {
         "episodes": study.episodes,
         "noise": study.noise,
-        "frames": TASKS,
+        "frames": {task: TASKS[task].frames for task in study.tasks},
         "learned": [LEARNED, EPISODES],
-        "ppo": PPO,
+        "ppo": {task: TASKS[task].ppo for task in study.tasks},
+        "dqn": DQN,
         "cloned": after_cloning(study.episodes),
     }
     if study.shown_in is not None:
@@ -79,9 +80,10 @@ def main(study: Study) -> None:
     summary: dict[str, dict[str, Any]] = {}
     for name, runs in results.items():
         task = name.split(":")[0]
-        first, frames = (capped(each, "learned", TASKS[task]) for each in (results[f"{task}: {study.arms[0]}"], runs))
+        most = TASKS[task].frames
+        first, frames = (capped(each, "learned", most) for each in (results[f"{task}: {study.arms[0]}"], runs))
         summary[name] = {
-            **steps_until(runs, "learned", TASKS[task]),
+            **steps_until(runs, "learned", most),
             "ratio": iqm_ratio(first, frames, paired=True)._asdict(),
             "probability_of_improvement": probability_of_improvement(first, frames)._asdict(),
         }
@@ -116,10 +118,10 @@ def draw(study: Study, results: dict[str, list[Result]]) -> Figure:
     figure = Figure(figsize=(3.4 * len(study.tasks), 2.9), layout="constrained")
     panels = figure.subplots(1, len(study.tasks), sharey=True, squeeze=False)[0]
     for axes, task in zip(panels, study.tasks, strict=True):
-        most = TASKS[task]
+        most = TASKS[task].frames
         for arm in study.arms:
             axes.ecdf(capped(results[f"{task}: {arm}"], "learned", 2 * most), label=arm)  # beyond the edge: never
-        axes.set(title=task.split("-", 1)[1].removesuffix("-v0"), xlabel="frames", xlim=(0, most), ylim=(0, 1.03))
+        axes.set(title=task.split("-", 1)[-1].removesuffix("-v0"), xlabel="frames", xlim=(0, most), ylim=(0, 1.03))
         axes.xaxis.set_major_formatter(lambda n, _: f"{n / 1000:.0f}k" if n else "0")
     panels[0].set_ylabel("share of runs that had learned")
     figure.legend(

@@ -1,4 +1,4 @@
-"""What is compared: MaskablePPO from the same demonstrations, with and without options and cloning."""
+"""What is compared: MaskablePPO and DQN from the same demonstrations, with options and without."""
 
 from __future__ import annotations
 
@@ -13,65 +13,46 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
 from experiments.common.seeds import Result
-from experiments.demonstrations.experts import expert_of
-from sb3_options import OptionsWrapper, record_demonstrations
+from experiments.demonstrations.tasks import TASKS
+from sb3_options import OptionDQN, OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.cloning import Imitation
 from sb3_options.callbacks.demonstrated import FAILURES
 from sb3_options.checkpoints.demonstrations import MANY
-from sb3_options.envs.minigrid import DISCOVERY, make
 from sb3_options.experience.trajectories import Trajectory
-from sb3_options.runs.config import CLONED, CLONED_FROM_MANY
+from sb3_options.runs.config import CLONED, CLONED_FROM_MANY, FITTED
 
-Arm = Literal["options, cloning", "cloning", "options", "cloning, demonstration loss"]
+Arm = Literal[
+    "options, cloning", "cloning", "options", "cloning, demonstration loss",
+    "PPO", "DQN, options, cloning", "DQN, cloning", "DQN, options", "DQN",
+]  # fmt: skip
 
 ARMS: tuple[Arm, ...] = get_args(Arm)
-"""``demonstration loss``: every gradient of PPO includes that of `DemonstrationLoss`."""
-
-TASKS = {
-    "BabyAI-KeyCorridorS3R3-v0": 200_000,
-    "BabyAI-KeyCorridorS4R3-v0": 300_000,
-    "BabyAI-KeyCorridorS6R3-v0": 1_000_000,
-    "MiniGrid-ObstructedMaze-1Dl-v0": 400_000,
-    "MiniGrid-ObstructedMaze-2Dlh-v0": 3_000_000,
-    "MiniGrid-LockedRoom-v0": 300_000,
-    "BabyAI-UnlockToUnlock-v0": 300_000,
-}
-"""Frames after which a run is given up, by task."""
-
-MISSIONS = ("MiniGrid-LockedRoom-v0",)
-"""Tasks whose mission names what the agent cannot see: it is part of the observation."""
+"""Of MaskablePPO, unless DQN is named. ``demonstration loss``: every gradient of PPO includes that of
+`DemonstrationLoss`. ``DQN, cloning`` is DQfD (Hester et al. 2018). ``PPO`` and ``DQN`` have no demonstrations."""
 
 LEARNED, EPISODES = 0.8, 100
 """A run ends when so large a share of so many episodes in a row succeeds."""
 
-MAX_OPTIONS, GAMMA, N_ENVS = 8, 0.99, 8
-
-PPO: dict[str, Any] = {
-    "learning_rate": 0.001,
-    "n_steps": 128,
-    "batch_size": 256,
-    "n_epochs": 4,
-    "gae_lambda": 0.95,
-    "ent_coef": 0.01,
-}
-"""Those of ``train.py`` for MiniGrid."""
+N_ENVS = 8
 
 FIRST_SEED = 10_000
 """Of the episodes that are shown; those of training have others."""
 
 
 class UntilLearned(BaseCallback):
-    """Ends training when `LEARNED`."""
+    """Ends training when `LEARNED`. An episode succeeds ``within`` so many steps; with None, if it is rewarded."""
 
-    def __init__(self) -> None:
+    def __init__(self, within: float | None) -> None:
         super().__init__()
+        self.within = within
         self.recent: deque[bool] = deque(maxlen=EPISODES)
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
             if "episode" in info:
-                self.recent.append(info["episode"]["r"] > 0)
+                episode = info["episode"]
+                self.recent.append(episode["r"] > 0 if self.within is None else episode["l"] <= self.within)
         return not self.learned
 
     @property
@@ -79,6 +60,20 @@ class UntilLearned(BaseCallback):
         """Whether training may end."""
         return len(self.recent) == EPISODES and float(np.mean(self.recent)) >= LEARNED
 
+
+DQN: dict[str, Any] = {
+    "learning_rate": 5e-4,
+    "buffer_size": 50_000,
+    "learning_starts": 500,
+    "batch_size": 64,
+    "train_freq": 1,
+    "gradient_steps": 4,
+    "target_update_interval": 100,
+    "exploration_fraction": 0.2,
+    "exploration_final_eps": 0.05,
+    "policy_kwargs": {"net_arch": [64, 64]},
+}
+"""Those of `experiments.deep`, chosen without options."""
 
 LOSS_WEIGHT, LOSS_DECAY = 0.1, 0.99
 """Weight of the demonstration loss in the first update, and its factor after each. Rajeswaran et al. (2018) have 0.1
@@ -133,36 +128,40 @@ def run(task: str, arm: Arm, episodes: int, noise: float, seed: int, shown_in: s
 
     ``shown_in``: another task, in which the expert acts and random actions fail.
     """
-    max_options = MAX_OPTIONS if "options" in arm else 0
-    cloned = dict(after_cloning(episodes)) if "cloning" in arm else {"max_runs": None}
+    of = TASKS[task]
+    max_options = of.max_options if "options" in arm else 0
+    of_dqn = arm.startswith("DQN")
+    cloned: dict[str, Any] = {"max_runs": None}
+    if "cloning" in arm:
+        cloned |= FITTED if of_dqn else after_cloning(episodes)
     max_runs = cloned.pop("max_runs")
 
-    def wrapped(env_id: str = task) -> OptionsWrapper:
-        observed = make(env_id, mission=task in MISSIONS, last_action=True)
-        return OptionsWrapper(observed, max_options, gamma=GAMMA, max_runs=max_runs)
+    def wrapped(name: str = task) -> OptionsWrapper:
+        return OptionsWrapper(TASKS[name].make(), max_options, gamma=of.gamma, max_runs=max_runs)
 
-    env = wrapped(shown_in or task)
-    shown = record_demonstrations(env, expert_of(env, noise, seed), episodes, seed=FIRST_SEED + 1000 * seed)
-    walks = min(episodes, FAILURES) if max_options else 0
-    failures = env.random_trajectories(walks, max(map(len, shown)), FIRST_SEED + 1000 * seed)
+    shown: list[Trajectory] = []
+    failures: list[Trajectory] = []
+    if arm not in ("PPO", "DQN"):
+        env = wrapped(shown_in or task)
+        shown = record_demonstrations(env, of.expert(env, noise, seed), episodes, seed=FIRST_SEED + 1000 * seed)
+        walks = min(episodes, FAILURES) if max_options else 0
+        failures = env.random_trajectories(walks, max(map(len, shown)), FIRST_SEED + 1000 * seed)
     frames = sum(map(len, [*shown, *failures]))
     discovery = SubgoalDiscoveryCallback(
-        **DISCOVERY,
-        demonstrations=[*shown, *failures],
+        **of.discovery,
+        demonstrations=[*shown, *failures] or None,
         clone="cloning" in arm,
         max_new_options=None if max_options else 0,
     )
-    end = UntilLearned()
-    model = MaskablePPO(
-        "MlpPolicy",
-        make_vec_env(wrapped, N_ENVS, seed=seed),
-        gamma=GAMMA,
-        seed=seed,
-        policy_kwargs={"net_arch": [64, 64]},
-        **PPO | cloned,
-    )
+    end = UntilLearned(of.within)
+    venv = make_vec_env(wrapped, N_ENVS, seed=seed)
+    model: Any
+    if of_dqn:
+        model = OptionDQN("MlpPolicy", venv, gamma=of.gamma, seed=seed, **DQN | cloned)
+    else:
+        model = MaskablePPO("MlpPolicy", venv, gamma=of.gamma, seed=seed, **dict(of.ppo) | cloned)
     loss = [DemonstrationLoss(discovery, shown)] if "loss" in arm else []
-    model.learn(TASKS[task] - frames, [discovery, *loss, end])
+    model.learn(of.frames - frames, [discovery, *loss, end])
     return {
         "seed": seed,
         "learned": frames + model.num_timesteps if end.learned else None,

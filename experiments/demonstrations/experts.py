@@ -1,15 +1,21 @@
-"""Experts that know the whole state of a MiniGrid environment."""
+"""Experts that know the whole state of an environment: of MiniGrid, of the paper's rooms, and of Taxi."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
 
+from experiments.deep.tasks import steps_after
+from experiments.methods.tasks import steps_to_deliver
+
 Cell = tuple[int, int]
+
+Policy: TypeAlias = Callable[[Any], int]
+"""Observation → action."""
 
 MOVES = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """Of the agent's four directions."""
@@ -18,7 +24,7 @@ WITHOUT_BOT = ("UnlockToUnlock",)
 """Levels in which the BabyAI bot may plan without end."""
 
 
-def expert_of(env: gym.Env[Any, Any], noise: float = 0.0, seed: int = 0) -> Callable[[Any], int]:
+def expert_of(env: gym.Env[Any, Any], noise: float = 0.0, seed: int = 0) -> Policy:
     """A policy: MiniGrid's own BabyAI bot, where it can solve the task, or else `planned`.
 
     Args:
@@ -55,6 +61,30 @@ def expert_of(env: gym.Env[Any, Any], noise: float = 0.0, seed: int = 0) -> Call
         return int(last)
 
     return act
+
+
+def room_expert(env: gym.Env[Any, Any], noise: float = 0.0, seed: int = 0) -> Policy:
+    """The best policy of a gridworld with one-hot observations; arguments as of `expert_of`."""
+    world: Any = env.unwrapped
+    best = steps_after(world).argmin(axis=0)
+    return _erring(lambda observation: int(best[observation.argmax()]), int(world.action_space.n), noise, seed)
+
+
+def taxi_expert(env: gym.Env[Any, Any], noise: float = 0.0, seed: int = 0) -> Policy:
+    """The best policy of Taxi; arguments as of `expert_of`."""
+    taxi: Any = env.unwrapped
+    steps = steps_to_deliver(taxi)
+
+    def best(_: Any) -> int:
+        led = {action: -1 if ended else steps[state] for action, ((_, state, _, ended),) in taxi.P[taxi.s].items()}
+        return int(min(led, key=led.__getitem__))
+
+    return _erring(best, int(taxi.action_space.n), noise, seed)
+
+
+def _erring(policy: Policy, n_actions: int, noise: float, seed: int) -> Policy:
+    random = np.random.default_rng(seed)
+    return lambda observation: int(random.integers(n_actions)) if random.random() < noise else policy(observation)
 
 
 def planned(game: Any) -> int:

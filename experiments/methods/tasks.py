@@ -185,11 +185,16 @@ def taxi_to(destination: int, max_steps: int = TAXI_STEPS) -> gym.Env[Any, Any]:
 def best_taxi_steps(destination: int) -> float:
     """Expected steps of the best policy."""
     env: Any = taxi_to(destination).unwrapped
+    steps = steps_to_deliver(env)
+    return float(sum(share * steps[state] for state, share in enumerate(env.initial_state_distrib) if share))
+
+
+def steps_to_deliver(env: Any) -> dict[Any, int]:
+    """Steps of the best policy from each state of Taxi that an episode may pass."""
     back = nx.DiGraph()
     for state, actions in env.P.items():
         back.add_edges_from(("home" if ended else led, state) for ((_, led, _, ended),) in actions.values())
-    steps = nx.single_source_shortest_path_length(back, "home")
-    return float(sum(share * steps[state] for state, share in enumerate(env.initial_state_distrib) if share))
+    return dict(nx.single_source_shortest_path_length(back, "home"))
 
 
 if TAXI not in gym.registry:

@@ -29,6 +29,11 @@ class Successors:
         """Start new sequences for ``n_envs`` environments: no new decision follows a stored one."""
         self._newest = [np.zeros(0, dtype=np.int64)] * n_envs
 
+    @property
+    def n_envs(self) -> int:
+        """Number of environments whose decisions are linked."""
+        return len(self._newest)
+
     def newest(self, env: int) -> Indices:
         """Return the newest decision of an environment whose episode goes on, (1,), or nothing, (0,)."""
         return self._newest[env][-1:]

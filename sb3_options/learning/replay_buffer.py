@@ -217,15 +217,19 @@ class OptionReplayBuffer(ReplayBuffer):
         return all(np.array_equal(self._next_observations[k][newest], v) for k, v in here.items())
 
     def _write_inner(self, run: OptionRun, there: Rows, done: bool, timeout: bool) -> None:
-        here = {key: self._as_stored(key, rows) for key, rows in self._split(run.observations).items()}
+        assert run.observations is not None  # an option reports its steps
+        here = self.as_stored(run.observations)
         led = {key: np.concatenate([rows[1:], there[key]]) for key, rows in here.items()}
         last = np.arange(run.duration) == run.duration - 1
-        assert run.actions is not None  # an option reports its steps
+        assert run.actions is not None
         assert run.rewards is not None
         self._write(here, led, run.actions[:, None], run.rewards, last & done, last & timeout, run.gamma, run.available)
 
-    def _as_stored(self, key: str, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def as_stored(self, observations: Observations) -> Rows:
         """Return observations from below the VecEnv in the algorithm's shape: SB3 puts image channels first."""
+        return {key: self._as_stored(key, rows) for key, rows in self._split(observations).items()}
+
+    def _as_stored(self, key: str, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
         shape = self._shapes[key]
         rows = rows.reshape(len(rows), *shape) if rows[0].size == 1 else rows
         if rows.shape[1:] != shape and rows.ndim == 4 and is_image_space(self._spaces[key]):
@@ -334,3 +338,4 @@ class OptionReplayBuffer(ReplayBuffer):
             column[: len(rows)] = rows
         if self._successors is not None:
             self._successors.set_state(state["successors"])
+            self.n_envs = self._successors.n_envs  # demonstrations came from one

@@ -1,4 +1,4 @@
-"""Finds the options that a trajectory passes through: the decisions of an agent with options that acts the same."""
+"""Finds the options that a trajectory passes through, as an agent with options would that acts the same."""
 
 from __future__ import annotations
 
@@ -10,32 +10,28 @@ from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
 
 
-def decisions(trajectory: Trajectory, bank: OptionBank) -> tuple[IntArray, BoolArray]:
-    """Return the augmented action that explains each step of a trajectory, and the available actions.
+def explained(trajectory: Trajectory, bank: OptionBank) -> tuple[IntArray, BoolArray]:
+    """Return how many steps of a trajectory each augmented action explains, and which actions are available.
 
-    This is the option that takes the trajectory farthest. It may start there, and its policy takes the same primitive
-    actions until its subgoal. Without such an option, it is the primitive action itself.
+    A primitive explains its own step. An option explains the steps to its subgoal if it may start there and its policy
+    takes the same primitive actions.
 
     Args:
         trajectory: Trajectory of T primitive steps.
         bank: The options.
 
     Returns:
-        Augmented actions, (T,), and masks, (T, n_primitive + max_options).
+        Durations, (T, n_primitive + max_options), 0 for none; and masks at each of the T + 1 observations.
     """
-    n_steps = len(trajectory)
     masks = bank.available(trajectory.states)[trajectory.visits]
-    actions = trajectory.actions.copy()
-    farthest = np.ones(n_steps, dtype=np.int64)
+    durations = np.zeros((len(trajectory), masks.shape[1]), dtype=np.int64)
+    durations[np.arange(len(trajectory)), trajectory.actions] = 1
     for slot in bank.filled:
         option = bank[slot]
         assert option is not None  # it is filled
         action = bank.n_primitive + slot
-        for step, duration in enumerate(_durations(option, trajectory, masks[:, action])):
-            if duration > farthest[step]:
-                farthest[step] = duration
-                actions[step] = action
-    return actions, masks[:-1]
+        durations[:, action] = _durations(option, trajectory, masks[:, action])
+    return durations, masks
 
 
 def _durations(option: Option, trajectory: Trajectory, available: BoolArray) -> IntArray:

@@ -37,12 +37,17 @@ ALGORITHMS = {
 """Module and class of each algorithm. The first is the default: it starts options only in their initiation sets."""
 
 CLONING = ("maskableppo", "ppo", "a2c", "trpo")
-"""Algorithms whose policy can be cloned from demonstrations."""
+"""Algorithms whose policy samples, and can be cloned from demonstrations."""
 
 CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003, "max_runs": 5}
 """Settings for a cloned policy: an entropy bonus or large updates would undo the cloning. The limit is for a policy
 with masks. An option that is learned anew becomes available where the policy was not cloned, and may be chosen there
 again and again."""
+
+OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
+
+FITTED = {"exploration_initial_eps": 0.05, "learning_starts": 0}
+"""Settings for action values that were fitted to demonstrations: random actions would leave the demonstrated way."""
 
 REFINED = ("maskableppo", "ppo")
 """Algorithms that take smaller updates from `MANY` demonstrations on: measured, or similar to a measured one."""
@@ -50,8 +55,6 @@ REFINED = ("maskableppo", "ppo")
 CLONED_FROM_MANY = CLONED | {"learning_rate": 0.0001, "max_runs": 15}
 """The same from `MANY` demonstrations on. Larger updates make a good policy worse, and options are not learned anew
 while it succeeds. In one demonstration of KeyCorridorS6R3 an option may run seven times."""
-
-OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
 MAX_SEED = 2**32 - 1
 """Largest seed that NumPy's generators, which SB3 seeds, accept."""
@@ -177,7 +180,10 @@ def build(values: Mapping[str, Any], source: str | Path) -> TrainConfig:
                 defaults |= _flat(block)
         # The environment's settings may name arguments of another algorithm.
         defaults |= {n: v for n, v in of_env.items() if n in defaults or not n.startswith(ARGUMENT)}
-        if algo in CLONING and given.get("demonstrations") and given.get("clone", True):
+        clones = given.get("demonstrations") and given.get("clone", True)
+        if clones and algo in OFF_POLICY:
+            defaults |= _flat(FITTED)
+        if clones and algo in CLONING:
             cloned = _flat(CLONED_FROM_MANY if algo in REFINED and _are_many(given) else CLONED)
             whole = getattr(given.get("discovery"), "segmentation", None)
             if algo != "maskableppo" or "peaks" in (whole, (defaults | given).get("discovery.segmentation")):

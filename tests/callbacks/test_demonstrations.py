@@ -8,7 +8,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
+import torch
+from sb3_contrib import QRDQN, TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -16,6 +17,8 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecFrameStack, VecNormalize
 
 from sb3_options import (
+    MacroQ,
+    OptionDQN,
     OptionsWrapper,
     load_demonstrations,
     logged_trajectory,
@@ -168,20 +171,24 @@ def decisions_of(model: Any, env: Any, n_episodes: int) -> list[list[int]]:
             seen = observation
             if (normalizer := model.get_vec_normalize_env()) is not None:
                 seen = normalizer.normalize_obs(observation)
-            masks = {"action_masks": env.action_masks()} if isinstance(model, MaskablePPO) else {}
+            masks = {"action_masks": env.action_masks()} if isinstance(model, MaskablePPO | OptionDQN) else {}
             taken.append(int(model.predict(seen, deterministic=True, **masks)[0]))
             observation, _, ended, *_ = env.step(taken[-1])
         episodes.append(taken if ended else [])
     return episodes
 
 
-@pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO])
+@pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, DQN, QRDQN, OptionDQN])
 @pytest.mark.parametrize("most", [0, 1])
 def test_a_policy_begins_with_the_decisions_of_the_demonstrations(
-    shown: list[Trajectory], algorithm: type[BaseAlgorithm], most: int
+    shown: list[Trajectory], monkeypatch: pytest.MonkeyPatch, algorithm: type[BaseAlgorithm], most: int
 ) -> None:
     env = optioned_rooms(1)
-    model = algorithm("MlpPolicy", env, gamma=0.9, seed=0)  # type: ignore[call-arg]
+    how: dict[str, Any] = {"learning_rate": 0.003} if issubclass(algorithm, DQN | QRDQN) else {}
+    if algorithm is QRDQN:
+        monkeypatch.setattr("sb3_options.callbacks.cloning.UPDATES", 1000)
+        how["policy_kwargs"] = {"n_quantiles": 25}
+    model = algorithm("MlpPolicy", env, gamma=0.9, seed=0, **how)
     assert len(cloned(model, shown, max_new_options=most).bank) == most
     episodes = decisions_of(model, env, len(shown))
     assert all(episodes)  # reach the goal
@@ -252,15 +259,78 @@ def test_stacked_frames_cannot_be_cloned(shown: list[Trajectory]) -> None:
     cloned(model, shown, max_new_options=0, clone=False)
 
 
-@pytest.mark.parametrize("algorithm", [DQN, RecurrentPPO])
-def test_other_learners_are_given_options_alone(shown: list[Trajectory], algorithm: type[BaseAlgorithm]) -> None:
-    policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
-    model = algorithm(policy, optioned_rooms(1), gamma=0.9, seed=0)  # type: ignore[call-arg]
-    assert len(cloned(model, shown).bank) == 1
+@pytest.mark.parametrize(
+    "learner", [lambda env: RecurrentPPO("MlpLstmPolicy", env, gamma=0.9), lambda env: MacroQ(env, gamma=0.9)]
+)
+def test_other_learners_are_given_options_alone(shown: list[Trajectory], learner: Any) -> None:
+    assert len(cloned(learner(optioned_rooms(1)), shown).bank) == 1
+
+
+def values_model(**kwargs: Any) -> OptionDQN:
+    how = {"learning_rate": 0.003, "learning_starts": 0, "exploration_initial_eps": 0.05, **kwargs}
+    return OptionDQN("MlpPolicy", optioned_rooms(1), gamma=0.9, seed=0, **how)
+
+
+def test_demonstrations_are_in_the_replay_buffer_as_decisions(shown: list[Trajectory]) -> None:
+    model = values_model()
+    bank = cloned(model, shown, max_new_options=1).bank
+    buffer: Any = model.replay_buffer
+    named = buffer.actions[: buffer.size(), 0] == 4
+    n_steps = sum(map(len, shown))
+    assert named.sum() >= 6
+    assert buffer.size() - named.sum() == n_steps  # steps inside options, too
+    rows = np.flatnonzero(named)
+    option = bank[0]
+    assert isinstance(option, SubgoalOption)
+    assert option.subgoal.contains(option.features(buffer._next_observations[""][rows])).all()
+    durations = np.log(buffer.discounts[rows]) / np.log(0.9)
+    assert np.allclose(durations, np.round(durations), atol=1e-4)
+    assert durations.max() > 1.5
+    ends = buffer.dones[: n_steps + len(rows)]
+    assert ends.sum() >= len(shown)
+    assert buffer.rewards[: len(ends)][ends > 0].tolist() == [1.0] * int(ends.sum())
+
+
+@pytest.mark.parametrize("stays", [True, False])
+def test_the_margin_stays_in_every_update_until_training_ends(shown: list[Trajectory], stays: bool) -> None:
+    """Without it, updates on random experience alone change what was demonstrated."""
+    model = values_model(max_grad_norm=0.0)  # the gradient of DQN's own loss is cut to nothing
+    discovery = callback(shown)
+    model.learn(1, [discovery, EndsAtOnce()])
+    assert not model.policy.optimizer._optimizer_step_pre_hooks
+    if not stays:
+        discovery._margin = None
+    before = [each.clone() for each in model.policy.q_net.parameters()]
+    model.policy.optimizer.state.clear()  # Adam's moments would move them on
+    model.learn(64, discovery, reset_num_timesteps=False)
+    moved = any(not torch.equal(a, b) for a, b in zip(before, model.policy.q_net.parameters(), strict=True))
+    assert moved == stays
+    assert not model.policy.optimizer._optimizer_step_pre_hooks
+
+
+def test_decisions_follow_the_options(shown: list[Trajectory]) -> None:
+    model = values_model()
+    margin = cloned(model, shown, max_new_options=1)._margin
+    assert margin is not None
+    assert (margin._actions == 4).any()
+    margin.bank.remove(0)
+    margin.loss()
+    assert not (margin._actions == 4).any()
+
+
+def test_images_are_stored_as_the_network_sees_them() -> None:
+    env = gym.make("sb3_options/TwoRooms-v0", observation="image", max_steps=40)
+    shown = record_demonstrations(env, lambda _: RIGHT, 3)
+    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", observation="image", max_steps=40), 1, gamma=0.9)
+    model = DQN("CnnPolicy", env, gamma=0.9, seed=0, buffer_size=200, policy_kwargs={"net_arch": [8]})
+    cloned(model, shown, max_new_options=0, success=lambda _: True)
+    buffer: Any = model.replay_buffer
+    stored = buffer._observations[""][: len(shown[0])]
+    assert np.array_equal(stored.transpose(0, 2, 3, 1), np.asarray(shown[0].states)[shown[0].visits[:-1]])
 
 
 @pytest.mark.usefixtures("keep_all")
-@pytest.mark.parametrize("name", ["PPO", "MaskablePPO"])
+@pytest.mark.parametrize("name", ["PPO", "MaskablePPO", "DQN", "OptionDQN"])
 def test_a_training_with_demonstrations_goes_on_as_if_never_ended(
     shown: list[Trajectory], tmp_path: Path, name: str
 ) -> None:

@@ -1,6 +1,7 @@
 """The study of demonstrations."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from sb3_contrib import MaskablePPO
 from experiments.demonstrations.__main__ import Study, draw
 from experiments.demonstrations.conditions import ARMS, LOSS_DECAY, DemonstrationLoss, run
 from experiments.demonstrations.experts import expert_of
+from experiments.demonstrations.tasks import TASKS
 from sb3_options import OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.callbacks.cloning import Imitation
@@ -35,6 +37,30 @@ def test_experts_succeed(task: str, longest: int) -> None:
     shown = record_demonstrations(env, expert_of(env), 4, seed=1)
     assert sum(bool(each.is_success) for each in shown) >= 3
     assert min(map(len, shown)) <= longest
+
+
+@pytest.mark.parametrize("task", ["TwoRooms", "FourRooms", "Taxi", "Taxi, one stop"])
+def test_experts_of_small_tasks_take_a_quarter_of_the_steps_of_a_slow_success(task: str) -> None:
+    of = TASKS[task]
+    env = of.make()
+    shown = record_demonstrations(env, of.expert(env, 0.0, 0), 60, seed=1)
+    assert all(each.terminated for each in shown)
+    assert of.within is not None
+    assert np.mean(list(map(len, shown))) == pytest.approx(of.within / 4, rel=0.15)
+    random = of.expert(env, 1.0, 0)
+    assert {random(env.observation_space.sample()) for _ in range(200)} == set(range(env.action_space.n))  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("arm", ["options, cloning", "DQN, options, cloning", "DQN"])
+def test_an_arm_learns_from_what_it_is_shown(monkeypatch: pytest.MonkeyPatch, arm: Any) -> None:
+    monkeypatch.setitem(TASKS, "TwoRooms", replace(TASKS["TwoRooms"], frames=1_500))
+    monkeypatch.setattr("experiments.demonstrations.conditions.EPISODES", 5)
+    monkeypatch.setattr("sb3_options.callbacks.cloning.UPDATES", 300)
+    result = run("TwoRooms", arm, 10, 0.0, 0)
+    shows = arm != "DQN"
+    assert bool(result["options"]) == shows
+    assert (result["demonstrations"] > 200) == shows
+    assert result["success"] > 0.5 or not shows
 
 
 def test_an_expert_errs_as_often_as_it_is_told() -> None:
@@ -92,8 +118,9 @@ def test_the_demonstration_loss_is_in_every_gradient_until_training_ends(monkeyp
 
 @pytest.mark.slow
 def test_a_cloned_policy_with_options_succeeds_before_it_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("experiments.demonstrations.conditions.TASKS", {"BabyAI-KeyCorridorS3R3-v0": 20_000})
-    result = run("BabyAI-KeyCorridorS3R3-v0", ARMS[0], 20, 0.0, 0)
+    task = "BabyAI-KeyCorridorS3R3-v0"
+    monkeypatch.setitem(TASKS, task, replace(TASKS[task], frames=20_000))
+    result = run(task, ARMS[0], 20, 0.0, 0)
     assert len(result["options"]) >= 3
     assert result["demonstrations"] > 1000
     assert result["success"] > 0.1

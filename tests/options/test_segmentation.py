@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from sb3_options.options.bank import OptionBank
-from sb3_options.options.segmentation import decisions
+from sb3_options.options.segmentation import explained
 from tests.support.helpers import table_option, trajectory_of
 
 UP, DOWN, LEFT, RIGHT = range(4)
@@ -26,14 +26,15 @@ def test_steps_on_which_trajectory_and_option_agree_are_the_options(wanders: lis
     places = [0]
     for action in wanders:
         places.append(moves[action](places[-1]))
-    actions, masks = decisions(trajectory_of(places, wanders), bank)
-    assert actions.tolist() == expected
-    assert masks.shape == (len(wanders), 5)
+    durations, masks = explained(trajectory_of(places, wanders), bank)
+    assert durations.argmax(axis=1).tolist() == expected
+    assert masks.shape == (len(wanders) + 1, 5)
 
 
 def test_an_option_is_a_decision_of_at_most_its_longest_duration() -> None:
     bank = OptionBank(4, 2)
     bank.add(table_option([True] * 6, [RIGHT] * 6, [0, 0, 0, 0, 1, 0], max_duration=3))
     bank.add(table_option([True] * 6, [RIGHT] * 6, [0, 0, 0, 1, 0, 0], max_duration=2))
-    actions, _ = decisions(trajectory_of([0, 1, 2, 3, 4], [RIGHT] * 4), bank)
-    assert actions.tolist() == [RIGHT, 4, 4, RIGHT]  # of two the one that goes farther
+    durations, _ = explained(trajectory_of([0, 1, 2, 3, 4], [RIGHT] * 4), bank)
+    assert durations.argmax(axis=1).tolist() == [RIGHT, 4, 4, RIGHT]  # of two the one that goes farther
+    assert durations[:, 4].tolist() == [0, 3, 2, 1]

@@ -45,6 +45,8 @@ def test_a_cloned_policy_gets_settings_of_its_own(algo: str) -> None:
         expected |= {"ent_coef": 0.0, "learning_rate": 3e-4}
     elif algo == "trpo":  # it has no bonus, and its updates are limited
         expected |= {"learning_rate": 3e-4}
+    elif algo == "dqn":  # random actions would leave the demonstrated way
+        expected |= {"exploration_initial_eps": 0.05, "learning_starts": 0}
     assert configure(algo=algo, demonstrations="a").algo_kwargs == expected
     assert configure(algo=algo, demonstrations="a", clone=False).algo_kwargs == usual
     assert configure(algo=algo, demonstrations="a").max_runs == (5 if algo == "maskableppo" else None)
