@@ -188,7 +188,7 @@ def test_a_policy_begins_with_the_decisions_of_the_demonstrations(
     if algorithm is QRDQN:
         monkeypatch.setattr("sb3_options.callbacks.cloning.UPDATES", 1000)
         how["policy_kwargs"] = {"n_quantiles": 25}
-    model = algorithm("MlpPolicy", env, gamma=0.9, seed=0, **how)
+    model = algorithm("MlpPolicy", env, gamma=0.9, seed=0, **how)  # type: ignore[call-arg]
     assert len(cloned(model, shown, max_new_options=most).bank) == most
     episodes = decisions_of(model, env, len(shown))
     assert all(episodes)  # reach the goal
