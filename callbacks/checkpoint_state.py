@@ -1,7 +1,5 @@
 """State of callbacks for checkpoints: our callbacks report their own, SB3's is listed here."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Any

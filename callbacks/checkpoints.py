@@ -1,7 +1,5 @@
 """`CheckpointCallback` and `load_checkpoint`: resume training after its process was killed."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ Policies that sample are fitted to them by maximum likelihood (behaviour cloning
 margin, which stays part of every update: deep Q-learning from demonstrations (Hester et al. 2018).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Demonstrations: options before the first step of a training."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """`SubgoalDiscoveryCallback`: collects trajectories, calls discovery, installs options."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Installs options where they take effect: in every environment, the network's heads and the replay buffer."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, cast
 

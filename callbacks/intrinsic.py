@@ -1,7 +1,5 @@
 """`IntrinsicRewardCallback`: a bonus for novelty, added where advantages are computed."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, TypeAlias, get_args
 

@@ -1,7 +1,5 @@
 """`OptionKeeper`: makes options from subgoals, learns them further, and closes them, with records."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`LearnedFeatures`: a feature map that is learned during training, and options that move with it."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """`discover`: options from saved trajectories, without training."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """`PrimitiveStepsCallback`: counts primitive steps, whatever actions the algorithm chooses among."""
 
-from __future__ import annotations
-
 import logging
 import math
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Settings of `SubgoalDiscoveryCallback` that belong together."""
 
-from __future__ import annotations
-
 from dataclasses import field
 from typing import Annotated
 

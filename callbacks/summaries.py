@@ -1,7 +1,5 @@
 """Logs discovery, options and settings of a training, in numbers and pictures."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The tree of callbacks that ``learn`` was given."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, EventCallback

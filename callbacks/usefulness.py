@@ -6,8 +6,6 @@ state is to blame, the option's last runs may close it (`verdict`). If options w
 any success passes makes room for a new one.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """`SubgoalDiscoveryCallback` for rl-zoo3."""
 
-from __future__ import annotations
-
 from sb3_options.callbacks.discovery import SubgoalDiscoveryCallback
 from sb3_options.callbacks.tree import evaluation_envs
 from sb3_options.zoo import ZooOptionsWrapper

@@ -1,7 +1,5 @@
 """The console script ``sb3-options``, and ``python -m sb3_options``."""
 
-from __future__ import annotations
-
 import io
 import sys
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ dataclass that refuses any other value and names the field. pydantic does the ch
 into the same class.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence

@@ -3,8 +3,6 @@
 Each command imports its modules when it runs, so the help is shown at once.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import os

@@ -1,7 +1,5 @@
 """The command that installs a missing package."""
 
-from __future__ import annotations
-
 
 def how_to_install(*extras: str) -> str:
     """Return the command that installs extras, for a release or in a checkout."""

@@ -18,8 +18,6 @@ names its attributes in ``STATE``. Elements of a container that do not exist bef
 arrays, or objects of a class decorated with `storable`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import sys

@@ -5,8 +5,6 @@ its wrappers only the arguments in the YAML file. A model that has learned to ch
 environment it is played in. So `ZooOptionsWrapper` reads from the command line which run that is.
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import sys

@@ -1,7 +1,5 @@
 """Files of demonstrations."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The state of a `VecEnv`: the memory of SB3's wrappers, and each environment in mid-episode."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

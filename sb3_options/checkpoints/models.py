@@ -1,7 +1,5 @@
 """The state of a model and of every random generator, at the start of a rollout."""
 
-from __future__ import annotations
-
 import os
 import random
 import time

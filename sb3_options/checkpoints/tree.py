@@ -5,8 +5,6 @@ classes decorated with `sb3_options.state.storable`, and of nothing else. So rea
 An array or a value that occurs twice becomes one object again.
 """
 
-from __future__ import annotations
-
 import base64
 import math
 from collections import deque

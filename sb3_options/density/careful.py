@@ -1,7 +1,5 @@
 """The objective where it under- or overflows: slow, but correct at any distance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

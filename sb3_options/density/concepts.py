@@ -3,8 +3,6 @@
 All features are scaled: their unit is the width of a concept of scale 1.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal, TypeAlias
 

@@ -6,8 +6,6 @@ Sources: Maron and Lozano-Pérez, "A framework for multiple-instance learning" (
 "Accelerating reinforcement learning through the discovery of useful subgoals" (2001), section 4.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

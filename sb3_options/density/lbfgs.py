@@ -4,8 +4,6 @@ This is Nocedal (1980) with the curvature pairs of every start in its own column
 all. After Bertsekas (1982), the direction omits parameters that the gradient pushes against a bound.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

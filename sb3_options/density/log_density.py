@@ -1,7 +1,5 @@
 """Exact log diverse density of points, with its gradient for autograd."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

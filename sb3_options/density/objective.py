@@ -16,8 +16,6 @@ bag's smallest energy and is correct at any distance.
 In double precision, energies close to a concept's centre, where products cancel, are measured again as differences.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from itertools import islice

@@ -1,7 +1,5 @@
 """Diverse density of states without distances, whose one-hot codes are all equally far apart."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Proposes groups of features from experience, for a feature map that names none."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """Makes the bags of one search from the trajectories of a database."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ seconds. These follow from numbers that are the same in every run: primitive ste
 constants were measured on one core.
 """
 
-from __future__ import annotations
-
 STEP_SECONDS = 3e-4
 """Training time of a primitive step. The fastest network of the examples, PPO in two rooms with 8 environments, takes
 0.33 ms. If a step takes longer, discovery uses less than its share."""

@@ -1,7 +1,5 @@
 """Discovery: trajectories in, subgoals out (McGovern & Barto 2001, Table 1)."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Figures of discovery: where diverse density is high, and where the options lead."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Which states may be subgoals: those that pass the static filter and are far from all other subgoals."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 

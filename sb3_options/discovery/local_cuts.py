@@ -1,7 +1,5 @@
 """Which states cut off their neighbourhood, in the graph of visited states."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sb3_options.density.arrays import row_keys, short_key

@@ -1,7 +1,5 @@
 """Running averages find peaks of diverse density that appear early and persist (McGovern & Barto 2001, §5)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

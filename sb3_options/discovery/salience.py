@@ -3,8 +3,6 @@
 While few trajectories succeed, trajectories that meet a rare thing stand for successes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Which states may be subgoals at all: those away from start and goal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeAlias
 

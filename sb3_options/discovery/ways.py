@@ -1,7 +1,5 @@
 """Ways: trajectories without their loops, and the places that they pass."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Networks of learned feature maps: a table for numbered states, convolutions for images, else two layers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 

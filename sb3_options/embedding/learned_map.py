@@ -1,7 +1,5 @@
 """`LearnedMap`: a feature map that is data, and can be trained further while in use."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

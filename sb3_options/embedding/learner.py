@@ -11,8 +11,6 @@ Gradient steps on pictures are slow. So they are spread over training, some of t
 Their number follows from nominal seconds, so that one seed gives one result.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Iterable

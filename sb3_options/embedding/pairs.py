@@ -1,7 +1,5 @@
 """Draws pairs of observations some steps apart from saved trajectories."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

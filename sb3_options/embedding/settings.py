@@ -1,7 +1,5 @@
 """Settings of learned feature maps."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, TypeAlias
 
 from sb3_options.checked import Field, settings

@@ -5,8 +5,6 @@ observations or the ends of episodes would change decisions, but not these steps
 environments at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """`ConceptsInObservation`: a concept space made from the environment or ``info``, not from the agent's observation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

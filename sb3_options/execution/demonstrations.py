@@ -1,7 +1,5 @@
 """Demonstrations: trajectories of another policy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which feature map φ an environment gets if its user names none."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Refuses observations and rewards that no network can learn from, where they come from."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -5,8 +5,6 @@ arrays, lists and dictionaries, and need not include ``np_random``. For other en
 unknown state, the episode is repeated; see `repeating`.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

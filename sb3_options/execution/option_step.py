@@ -1,7 +1,5 @@
 """A run of an option that is under way, and why it ends; `OptionsWrapper` and `OptionsVecEnv` both use these."""
 
-from __future__ import annotations
-
 from typing import Any, SupportsFloat, TypeAlias
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`OptionsVecEnv`: options in a vectorised environment that cannot step one of its environments alone."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias

@@ -1,7 +1,5 @@
 """`RecordTrajectories`: a wrapper beneath `OptionsWrapper` that records primitive steps."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

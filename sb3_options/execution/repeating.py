@@ -4,8 +4,6 @@ It stores how the episode began and which actions were taken. Observations, rewa
 show whether the environment takes the same course again.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections import deque
 from typing import Any

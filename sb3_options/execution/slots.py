@@ -1,7 +1,5 @@
 """`SlotState`: the options as sent to an environment. `Traits`: properties that an environment reports."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Converts observations as an algorithm sees them into observations as `OptionsWrapper` sees them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Worker processes of ``SubprocVecEnv`` that end unexpectedly."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Sequence
 from multiprocessing import get_all_start_methods, set_forkserver_preload

@@ -1,7 +1,5 @@
 """`OptionsWrapper`: an environment whose actions are primitives and options."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable, Sequence

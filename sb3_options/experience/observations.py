@@ -1,7 +1,5 @@
 """Batches of observations, as arrays or as dictionaries of arrays, and their way into concept space."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias, cast

@@ -5,8 +5,6 @@ no such episodes. Its experience is segmented at peaks of reward (after Iba 1989
 successful trajectory.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import operator

@@ -1,7 +1,5 @@
 """Rules for which trajectories succeeded."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, MutableMapping, MutableSequence, Sequence
 from typing import Any, TypeAlias

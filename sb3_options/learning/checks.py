@@ -1,7 +1,5 @@
 """Checks of an environment and a model before learning over options."""
 
-from __future__ import annotations
-
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 

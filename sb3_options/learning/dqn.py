@@ -1,7 +1,5 @@
 """`OptionDQN`: DQN that respects initiation sets wherever it chooses an action or takes a maximum."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 

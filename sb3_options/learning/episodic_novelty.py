@@ -1,7 +1,5 @@
 """Novelty within an episode: NovelD and E3B, the bonuses that the field compares with in MiniGrid."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import nn

@@ -1,7 +1,5 @@
 """`expand_action_space`: adds option slots to a model that was trained without them."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 from gymnasium import spaces

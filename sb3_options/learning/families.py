@@ -3,8 +3,6 @@
 `family_of` returns the adapter of a model. No other module checks which algorithm a model belongs to.
 """
 
-from __future__ import annotations
-
 import inspect
 import logging
 from abc import ABC, abstractmethod

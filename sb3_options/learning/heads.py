@@ -5,8 +5,6 @@ bootstrap target names the slot. Its gradient is zero, because no stored transit
 opened when an option is installed. All other outputs stay the same, bit for bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

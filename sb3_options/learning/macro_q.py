@@ -1,7 +1,5 @@
 """`MacroQ`: Q-learning and Macro Q-learning over linear features, as a Stable-Baselines3 algorithm."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, ClassVar, Protocol, Self, cast
 

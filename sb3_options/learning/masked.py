@@ -1,7 +1,5 @@
 """Which actions are available, and a `predict` that chooses only these."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np

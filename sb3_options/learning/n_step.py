@@ -1,7 +1,5 @@
 """n-step returns over options (Watkins 1989; Sutton, Precup & Singh 1999, §2)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Novelty of observations over the whole training: state counts, random network distillation, and their scale."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Experience replay over options: γᵏ for every transition, and the primitive steps inside options."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple, cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rollouts over options: advantages and returns with γᵏ for every transition, for PPO, A2C and TRPO."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Generator, Sequence
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ SB3's ``save`` writes the attributes of a model, and its ``load`` restores them.
 options file as text. Saving the model saves the options, and a callback can put them back into an environment.
 """
 
-from __future__ import annotations
-
 import os
 import weakref
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Finds the content of an options file: in its own file, or in the ``model.zip`` of a model that uses it."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

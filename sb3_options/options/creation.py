@@ -1,7 +1,5 @@
 """Learns an option for a subgoal from saved trajectories, and relearns it from later ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

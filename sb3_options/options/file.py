@@ -1,7 +1,5 @@
 """The options file: safetensors arrays and JSON, and the signature of the observations that the options act on."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Imagines steps that nobody took: an action that moves a nearby thing by one cell does so farther away, too."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from dataclasses import replace
 from typing import NamedTuple

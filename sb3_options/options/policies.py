@@ -1,7 +1,5 @@
 """Policies π of discovered options: greedy in a value function, stored as plain arrays."""
 
-from __future__ import annotations
-
 from typing import TypeAlias
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimates from where an option's policy reaches its subgoal, by the saved steps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Learns an option's policy by experience replay: Q-learning into a table or a network."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of JSON and arrays under one digest, in safetensors: options files and checkpoints. Nothing in them can run."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """Finds the options that a trajectory passes through, as an agent with options would that acts the same."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sb3_options.experience.observations import BoolArray, IntArray

@@ -1,7 +1,5 @@
 """The task that an option is learned in: its initiation set, and the saved steps with the task's own rewards."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple

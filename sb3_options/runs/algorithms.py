@@ -1,7 +1,5 @@
 """The models of the command line."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 from collections.abc import Mapping

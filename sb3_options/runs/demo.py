@@ -1,7 +1,5 @@
 """The demonstration: discover an option, move the goal, and train with the option and without."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from contextlib import closing

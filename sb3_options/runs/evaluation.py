@@ -1,7 +1,5 @@
 """Evaluates a run by return, success rate and primitive steps."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from contextlib import ExitStack, closing

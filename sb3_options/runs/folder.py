@@ -1,7 +1,5 @@
 """Environments of a run, and the run folder."""
 
-from __future__ import annotations
-
 import fcntl
 import importlib
 import json

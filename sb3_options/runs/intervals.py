@@ -1,7 +1,5 @@
 """Estimates with 95 % confidence intervals."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np

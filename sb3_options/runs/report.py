@@ -1,7 +1,5 @@
 """Reports of a run: the tables at the end of training, and the options of a file."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Searches for settings with Optuna: TPE proposes, and every trial trains on the same seeds."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

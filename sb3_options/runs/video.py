@@ -1,7 +1,5 @@
 """Videos of episodes, primitive step by primitive step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from itertools import count

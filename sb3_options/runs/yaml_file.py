@@ -1,7 +1,5 @@
 """Reads untrusted YAML as plain values: it can run nothing, import nothing, and takes little time."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Hashable, Mapping

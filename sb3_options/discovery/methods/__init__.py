@@ -1,7 +1,5 @@
 """Methods of discovery: trajectories in, proposals out. Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from sb3_options.density.regions import Region

@@ -1,7 +1,5 @@
 """Places that were candidates often enough."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Peaks of diverse density that persist (McGovern & Barto 2001, Table 1)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import ClassVar
 

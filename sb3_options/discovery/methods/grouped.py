@@ -1,7 +1,5 @@
 """Discovery on feature groups: each group has bags, peaks and subgoals in its own features."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, cast
