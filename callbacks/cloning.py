@@ -1,17 +1,20 @@
 """A policy begins with the decisions of demonstrations, over primitives and options.
 
 Policies that sample are fitted to them by maximum likelihood (behaviour cloning). Action values are fitted by a large
-margin, which stays part of every update: deep Q-learning from demonstrations (Hester et al. 2018).
+margin, which stays part of later updates with a falling weight, as in deep Q-learning from demonstrations (Hester et
+al. 2018).
 """
 
 import math
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, VecNormalize, is_vecenv_wrapped
+from torch.utils.hooks import RemovableHandle
 
 from sb3_options.experience.observations import Observations, concatenate, take
 from sb3_options.experience.option_run import OptionRun
@@ -70,7 +73,6 @@ class Imitation:
         self.bank = bank
         self.demonstrations = demonstrations
         self.states = concatenate([each.states for each in demonstrations])
-        self._normalizer: VecNormalize | None = model.get_vec_normalize_env()
         firsts = np.cumsum([0, *(each.visits.max() + 1 for each in demonstrations[:-1])])
         visits = [first + each.visits[:-1] for first, each in zip(firsts, demonstrations, strict=True)]
         self._seen = np.concatenate(visits)
@@ -89,8 +91,9 @@ class Imitation:
         """Return random observations as the policy sees them, their decisions, and their rows."""
         rows = torch.randint(len(self._seen), (size,), generator=self._generator).numpy()
         observations = take(self.states, self._seen[rows])
-        if self._normalizer is not None:
-            observations = self._normalizer.normalize_obs(observations)
+        normalizer = self.model.get_vec_normalize_env()
+        if normalizer is not None:
+            observations = normalizer.normalize_obs(observations)
         batch, _ = self.model.policy.obs_to_tensor(observations)
         return batch, torch.as_tensor(self._actions[rows], device=self.model.device), rows
 
@@ -105,9 +108,14 @@ class Imitation:
 class MarginLoss(Imitation):
     """The decisions of demonstrations, as a loss of action values (Hester et al. 2018, eq. 2).
 
-    Where an option and a primitive both explain a step, neither has to exceed the other. Decisions follow the options
-    of the bank when these change.
+    The value of a decision has to exceed those of all actions by `MARGIN`, but for others that explain the step: these
+    must not exceed it. The weight falls from 1 to 0 over the first half of the training, so that the agent may
+    become better than the demonstrations. Decisions follow the options of the bank when these change.
     """
+
+    def __init__(self, model: Any, bank: OptionBank, demonstrations: Sequence[Trajectory]) -> None:
+        super().__init__(model, bank, demonstrations)
+        self._hook: RemovableHandle | None = None
 
     def loss(self) -> torch.Tensor:
         """Return the loss of a random batch."""
@@ -118,21 +126,27 @@ class MarginLoss(Imitation):
         values = values.mean(dim=1) if values.dim() == 3 else values  # of quantiles
         explains = torch.as_tensor(self._durations[rows] > 0, device=values.device)
         rivals = torch.where(explains, values, values + MARGIN)
-        if self.model.replay_buffer.tracks_availability:  # it never chooses other options
-            rivals[~torch.as_tensor(self._masks[rows], device=values.device)] = -torch.inf
+        if self.model.replay_buffer.tracks_availability:  # the model never chooses an unavailable option
+            rivals = rivals.masked_fill(~torch.as_tensor(self._masks[rows], device=values.device), -torch.inf)
         return (rivals.max(dim=1).values - values.gather(1, chosen[:, None])[:, 0]).mean()
 
     def begin(self) -> None:
-        """Add the loss to every update of the model, until `end`."""
+        """Add the gradient of the loss to every update of the model until `end`, after SB3 has clipped its own."""
+        self.end()
         self._hook = self.model.policy.optimizer.register_step_pre_hook(self._add)
 
     def end(self) -> None:
         """Leave updates as they are."""
-        self._hook.remove()
+        if self._hook is not None:
+            self._hook.remove()
+            self._hook = None
 
     def _add(self, optimizer: torch.optim.Optimizer, *_: Any) -> None:
-        parameters = [each for group in optimizer.param_groups for each in group["params"]]
-        gradients = torch.autograd.grad(self.loss(), parameters, allow_unused=True)
+        parameters = [each for group in optimizer.param_groups for each in group["params"] if each.requires_grad]
+        weight = 2.0 * self.model._current_progress_remaining - 1.0
+        if weight <= 0.0:
+            return
+        gradients = torch.autograd.grad(weight * self.loss(), parameters, allow_unused=True)
         for parameter, gradient in zip(parameters, gradients, strict=True):
             if gradient is not None:
                 parameter.grad = gradient if parameter.grad is None else parameter.grad + gradient
@@ -162,19 +176,25 @@ def clone(model: Any, bank: OptionBank, demonstrations: Sequence[Trajectory]) ->
 
 
 def fit_values(imitation: MarginLoss, buffer: OptionReplayBuffer) -> None:
-    """Put demonstrations into the replay buffer, and fit action values to them with the margin.
+    """Put demonstrations into the replay buffer, and fit action values to them with the margin, by the model's updates.
 
-    The margin has to be in the updates already (`MarginLoss.begin`).
+    They are rows like all others, and are overwritten once the buffer is full.
     """
     model = imitation.model
     _begin_statistics(model, imitation.states)
+    _begin_return_statistics(model, imitation.demonstrations)
     for trajectory in imitation.demonstrations:
         _store(trajectory, imitation.bank, buffer, model.gamma)
-    for update in range(UPDATES):
-        if update % TARGET_UPDATES == 0:
-            online, target = networks(model.policy)
-            target.load_state_dict(online.state_dict())
-        model.train(1, model.batch_size)
+    model._update_current_progress_remaining(model.num_timesteps, model._total_timesteps)  # for the learning rate
+    imitation.begin()
+    try:
+        for update in range(UPDATES):
+            if update % TARGET_UPDATES == 0:
+                online, target = networks(model.policy)
+                target.load_state_dict(online.state_dict())
+            model.train(1, model.batch_size)
+    finally:
+        imitation.end()
 
 
 def _store(trajectory: Trajectory, bank: OptionBank, buffer: OptionReplayBuffer, gamma: float) -> None:
@@ -215,3 +235,12 @@ def _begin_statistics(model: Any, observations: Observations) -> None:
                 statistics.update(observations[key])
         else:
             normalizer.obs_rms.update(observations)
+
+
+def _begin_return_statistics(model: Any, demonstrations: Sequence[Trajectory]) -> None:
+    """Let the statistics of returns begin with those of the demonstrations: the rewards are divided by them."""
+    normalizer: VecNormalize | None = model.get_vec_normalize_env()
+    if normalizer is not None and normalizer.norm_reward and normalizer.training:
+        for each in demonstrations:
+            so_far = accumulate(each.rewards, lambda total, reward: total * normalizer.gamma + reward)
+            normalizer.ret_rms.update(np.array(list(so_far)))

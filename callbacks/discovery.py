@@ -62,7 +62,8 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         demonstrations: Successful trajectories from `record_demonstrations`, or a file of them. They yield options
             before the first step. If they hold no failures, a random policy provides some.
         clone: Whether the policy first clones the decisions of the demonstrations; not for RecurrentPPO and MacroQ.
-            DQN, QRDQN and OptionDQN keep them in their replay buffer and their loss (Hester et al. 2018).
+            The replay buffer of DQN, QRDQN and OptionDQN begins with the demonstrations, and a margin in favour of
+            these decisions stays in their loss, with a falling weight (Hester et al. 2018).
         verbose: 1 prints each new option, the learning of a feature map and, if no option was made, the reason.
 
     `bank` holds the options, `discoveries` when and where each was found, `closed` the closed options, and `history`
@@ -161,8 +162,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         venv.env_method("set_slots", record=True, max_segment=self.settings.max_segment if peaks else None)
         self._ended = False
         if self._margin is not None:
-            self._margin.bank = self._installer.bank
-            self._margin.begin()
+            self._margin.model, self._margin.bank = self.model, self._installer.bank
         if begins and self.demonstrations is not None:
             self._learn_from_demonstrations(self.demonstrations, seed)
 
@@ -185,7 +185,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             about = f": mean probability of a decision {clone(self.model, options.bank, successes):.2f}"
         else:
             self._margin = MarginLoss(self.model, options.bank, successes)
-            self._margin.begin()
             fit_values(self._margin, buffer)
             about = ""
         if len(successes) >= MANY:
@@ -215,6 +214,16 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 if self.episodes % SEGMENTS_PER_LOG == 0 and self._rollout_buffer is None:
                     self.logger.dump(self.num_timesteps)
         return goes_on
+
+    def _on_rollout_start(self) -> None:
+        if self._margin is not None:
+            self._margin.end()  # between rollouts only, so that an error in an environment leaves nothing behind
+        super()._on_rollout_start()
+
+    def _on_rollout_end(self) -> None:
+        super()._on_rollout_end()
+        if self._margin is not None:
+            self._margin.begin()
 
     def _episode_ended(
         self, trajectory: Trajectory, info: dict[str, Any], env: int = 0, run: OptionRun | None = None
@@ -268,6 +277,11 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from a checkpoint, once training has started."""
+        if (state["_margin"] is None) != (self._margin is None):
+            raise ValueError(
+                "The checkpoint's values were fitted to demonstrations, or those here are, and not both: pass "
+                "SubgoalDiscoveryCallback the same demonstrations and clone as before."
+            )
         restore(self, state)
         if self._keeper.features is not None:
             self._keeper.options.send_learned_map()

@@ -30,6 +30,8 @@ from experiments.demonstrations.conditions import (
     run,
 )
 from experiments.demonstrations.tasks import TASKS
+from sb3_options.callbacks.cloning import MARGIN, UPDATES
+from sb3_options.runs.config import FITTED
 from sb3_options.runs.intervals import probability_of_improvement
 
 
@@ -71,7 +73,8 @@ def main(study: Study) -> None:
         "frames": {task: TASKS[task].frames for task in study.tasks},
         "learned": [LEARNED, EPISODES],
         "ppo": {task: TASKS[task].ppo for task in study.tasks},
-        "dqn": DQN,
+        "dqn": [DQN, FITTED, MARGIN],
+        "updates": UPDATES,
         "cloned": after_cloning(study.episodes),
     }
     if study.shown_in is not None:

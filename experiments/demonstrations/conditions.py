@@ -29,7 +29,8 @@ Arm = Literal[
 
 ARMS: tuple[Arm, ...] = get_args(Arm)
 """Of MaskablePPO, unless DQN is named. ``demonstration loss``: every gradient of PPO includes that of
-`DemonstrationLoss`. ``DQN, cloning`` is DQfD (Hester et al. 2018). ``PPO`` and ``DQN`` have no demonstrations."""
+`DemonstrationLoss`. ``DQN, cloning`` is a form of DQfD (Hester et al. 2018): its buffer has
+no priorities. ``PPO`` and ``DQN`` have no demonstrations."""
 
 LEARNED, EPISODES = 0.8, 100
 """A run ends when so large a share of so many episodes in a row succeeds."""

@@ -25,11 +25,11 @@ from sb3_options import (
     record_demonstrations,
     save_demonstrations,
 )
-from sb3_options.callbacks import SubgoalDiscoveryCallback, discover
+from sb3_options.callbacks import CheckpointCallback, SubgoalDiscoveryCallback, discover
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
-from tests.callbacks.test_checkpoint_resuming import check_resumes, model_of, venv_of
+from tests.callbacks.test_checkpoint_resuming import check_resumes, model_of, trained, venv_of
 from tests.support.documents import ROOT, python_of
 from tests.support.helpers import equal, table_option, trajectory_of
 from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, make_optioned_rooms, optioned_rooms, small_rooms
@@ -45,6 +45,16 @@ def to_the_goal(observation: Any) -> int:
     if x < DOORWAY[0] and y != doorway:
         return UP if y > doorway else DOWN
     return RIGHT if x < WIDTH - 1 else DOWN
+
+
+def by_the_wall(observation: Any) -> int:
+    """A longer way, along the left and the lower wall of the first room."""
+    y, x = divmod(int(np.argmax(observation)), WIDTH)
+    if x >= DOORWAY[0] - 1:
+        return to_the_goal(observation)
+    if y == 4:
+        return RIGHT
+    return LEFT if x > 0 else DOWN
 
 
 @pytest.fixture(scope="module")
@@ -291,13 +301,16 @@ def test_demonstrations_are_in_the_replay_buffer_as_decisions(shown: list[Trajec
     assert buffer.rewards[: len(ends)][ends > 0].tolist() == [1.0] * int(ends.sum())
 
 
+def hooks(model: Any) -> int:
+    return len(model.policy.optimizer._optimizer_step_pre_hooks)
+
+
 @pytest.mark.parametrize("stays", [True, False])
 def test_the_margin_stays_in_every_update_until_training_ends(shown: list[Trajectory], stays: bool) -> None:
-    """Without it, updates on random experience alone change what was demonstrated."""
     model = values_model(max_grad_norm=0.0)  # the gradient of DQN's own loss is cut to nothing
     discovery = callback(shown)
     model.learn(1, [discovery, EndsAtOnce()])
-    assert not model.policy.optimizer._optimizer_step_pre_hooks
+    assert not hooks(model)
     if not stays:
         discovery._margin = None
     before = [each.clone() for each in model.policy.q_net.parameters()]
@@ -305,7 +318,86 @@ def test_the_margin_stays_in_every_update_until_training_ends(shown: list[Trajec
     model.learn(64, discovery, reset_num_timesteps=False)
     moved = any(not torch.equal(a, b) for a, b in zip(before, model.policy.q_net.parameters(), strict=True))
     assert moved == stays
-    assert not model.policy.optimizer._optimizer_step_pre_hooks
+    assert not hooks(model)
+
+
+def test_an_agent_becomes_better_than_its_demonstrations() -> None:
+    given = record_demonstrations(small_rooms(success_probability=1.0), by_the_wall, 12)
+    env = OptionsWrapper(small_rooms(success_probability=1.0), 0, gamma=0.9)
+    how: dict[str, Any] = {"learning_rate": 0.003, "learning_starts": 0, "target_update_interval": 100}
+    model = OptionDQN("MlpPolicy", env, gamma=0.9, seed=0, **how, exploration_fraction=0.5)
+    shown_steps = float(np.mean(list(map(len, given))))
+    discovery = SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=0, demonstrations=given)
+    model.learn(1, [discovery, EndsAtOnce()])
+    at_first = np.mean([len(taken) for taken in decisions_of(model, env, 12)])
+    assert at_first == pytest.approx(shown_steps, abs=0.5)
+    model.learn(8_000, discovery)
+    later = [len(taken) for taken in decisions_of(model, env, 12)]
+    assert all(later)  # reach the goal
+    assert np.mean(later) < shown_steps - 1
+
+
+class Interrupts(BaseCallback):
+    """Ends training by an error, in an update or in a step."""
+
+    def __init__(self, in_update: bool) -> None:
+        super().__init__()
+        self.in_update = in_update
+
+    def _on_step(self) -> bool:
+        if self.num_timesteps < 8:
+            return True
+        if not self.in_update:
+            raise KeyboardInterrupt
+
+        def stop(*_: Any) -> None:
+            raise KeyboardInterrupt
+
+        q_net: Any = self.model.policy.q_net
+        q_net.register_forward_hook(stop)
+        return True
+
+
+@pytest.mark.parametrize("in_update", [True, False])
+def test_an_interrupt_leaves_at_most_one_margin(shown: list[Trajectory], in_update: bool) -> None:
+    model = values_model()
+    discovery = callback(shown)
+    with pytest.raises(KeyboardInterrupt):
+        model.learn(64, [discovery, Interrupts(in_update)])
+    model.policy.q_net._forward_hooks.clear()
+    assert hooks(model) <= in_update
+    model.learn(32, discovery, reset_num_timesteps=False)
+    assert not hooks(model)
+
+
+def test_a_margin_follows_the_model_and_its_statistics(shown: list[Trajectory], tmp_path: Path) -> None:
+    model = values_model()
+    discovery = callback(shown)
+    model.learn(8, discovery)
+    model.save(tmp_path / "model.zip")
+    env = VecNormalize(make_vec_env(lambda: optioned_rooms(1), 1, seed=0), gamma=0.9, clip_reward=np.inf)
+    later = OptionDQN.load(tmp_path / "model.zip", env)
+    margin = discovery._margin
+    assert margin is not None
+    later.learn(8, [discovery, EndsAtOnce()], reset_num_timesteps=False)
+    assert margin.model is later
+
+
+def test_rewards_are_normalised_by_the_returns_of_the_demonstrations(shown: list[Trajectory]) -> None:
+    env = VecNormalize(make_vec_env(optioned_rooms, 1, seed=0), gamma=0.9, clip_reward=np.inf)
+    model = OptionDQN("MlpPolicy", env, gamma=0.9, seed=0)
+    cloned(model, shown, max_new_options=0)
+    assert env.ret_rms.count > sum(map(len, shown)) - 1
+    assert env.ret_rms.var == pytest.approx(len(shown) / sum(map(len, shown)), rel=0.2)  # a one at each end
+
+
+def test_a_frozen_layer_stays_as_it_is(shown: list[Trajectory]) -> None:
+    model = values_model()
+    first: Any = model.policy.q_net.q_net[0]
+    first.weight.requires_grad_(False)
+    before = first.weight.clone()
+    cloned(model, shown, max_new_options=0)
+    assert torch.equal(first.weight, before)
 
 
 def test_decisions_follow_the_options(shown: list[Trajectory]) -> None:
@@ -327,6 +419,15 @@ def test_images_are_stored_as_the_network_sees_them() -> None:
     buffer: Any = model.replay_buffer
     stored = buffer._observations[""][: len(shown[0])]
     assert np.array_equal(stored.transpose(0, 2, 3, 1), np.asarray(shown[0].states)[shown[0].visits[:-1]])
+
+
+@pytest.mark.usefixtures("keep_all")
+def test_a_checkpoint_of_a_training_without_demonstrations_is_refused(shown: list[Trajectory], tmp_path: Path) -> None:
+    trained(lambda: model_of("DQN", venv_of()), [callback(None), CheckpointCallback(tmp_path / "a", 50)], steps=120)
+    file = sorted((tmp_path / "a").glob("0*"))[0]
+    again = [callback(shown), CheckpointCallback(tmp_path / "b", 50)]
+    with pytest.raises(ValueError, match="pass SubgoalDiscoveryCallback the same demonstrations and clone"):
+        trained(lambda: model_of("DQN", venv_of()), again, resume=file, steps=120)
 
 
 @pytest.mark.usefixtures("keep_all")
