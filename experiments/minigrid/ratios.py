@@ -17,7 +17,7 @@ from experiments.common.intervals import iqm_ratio
 from experiments.minigrid.settings import Arm
 from experiments.minigrid.summary import REACH
 from sb3_options.experience.observations import FloatArray
-from sb3_options.runs.intervals import iqm
+from sb3_options.runs.intervals import iqm, probability_of_improvement
 
 RESAMPLES, SEED = 10_000, 0
 
@@ -89,9 +89,10 @@ PAIRED = {
     "features": FEATURES,
     "proposed": FEATURES,
     "bonuses": {"four rooms": "four-rooms", "key corridors": "key-corridor"},
+    "twenty": {"four rooms": "four-rooms"},
 }
-"""Tasks where agents see φ beside the observation, options have proposed groups, or rivals have other bonuses, and the
-files of these agents, by the ending of their names."""
+"""Tasks where agents see φ beside the observation, options have proposed groups, rivals have other bonuses, or there are
+twenty seeds, and the files of these agents, by the ending of their names."""
 
 REACHING = {
     **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},
@@ -150,10 +151,26 @@ def main(of: Ratios) -> None:
         "features": lambda results: paired_table(results, "features", "discovered, "),
         "proposed": lambda results: paired_table(results, "proposed", "proposed"),
         "bonuses": lambda results: paired_table(results, "bonuses", "discovered, "),
+        "twenty": lambda results: paired_table(results, "twenty", "discovered, "),
         "reach": reach_table,
     }
     fill(of.document, {name: draw_up(of.results) for name, draw_up in parts.items()})
     draw(of.results).savefig(of.picture, dpi=110)
+    draw_profile(of.results).savefig(of.picture.with_stem(f"{of.picture.stem}-profile"), dpi=110)
+
+
+def draw_profile(results: Path) -> Figure:
+    """Performance profile of the twenty seeds (Agarwal et al. 2021, §4.2): the share of runs at 0.8 by frames."""
+    figure = Figure(figsize=(6, 3.2), layout="constrained")
+    axes = figure.subplots()
+    most = FRAMES["four rooms"]
+    for arm in _summary_of(results, "four-rooms-twenty")["arms"]:
+        frames = frames_of(results, Of("four-rooms-twenty", arm))
+        axes.ecdf(np.minimum(frames, 2 * most), label=arm)  # beyond the edge: never
+    axes.set(xlabel="frames of both tasks", ylabel="share of runs at 0.8", xlim=(0, most), ylim=(0, 1.03))
+    axes.xaxis.set_major_formatter(lambda n, _: f"{n / 1000:.0f}k" if n else "0")
+    axes.legend(frameon=False, loc="lower right")
+    return figure
 
 
 def draw(results: Path) -> Figure:
@@ -238,8 +255,8 @@ def paired_table(results: Path, ending: str, prefix: str) -> str:
     """Frames of the agent whose name has the prefix, as a share of those of other agents, of equal seeds."""
     what = "proposed groups" if ending == "proposed" else "options"
     rows = [
-        f"| | runs of 8 that arrive | frames | frames with {what}, of these | processor seconds |",
-        "|---" * 5 + "|",
+        f"| | arrive | frames | frames with {what}, of these | Pr(faster) | processor seconds |",
+        "|---" * 6 + "|",
     ]
     for task, file in PAIRED[ending].items():
         arms = _summary_of(results, f"{file}-{ending}")["arms"]
@@ -248,10 +265,11 @@ def paired_table(results: Path, ending: str, prefix: str) -> str:
         }
         ours = frames[next(arm for arm in arms if arm.startswith(prefix))]
         for arm, of in frames.items():
-            arrived = int((of < FRAMES[task]).sum())
-            share = "" if of is ours else "{:.2f} ({:.2f} to {:.2f})".format(*iqm_ratio(ours, of, paired=True))
+            arrived = f"{(of < FRAMES[task]).sum()} of {len(of)}"
+            compared = (iqm_ratio(ours, of, paired=True), probability_of_improvement(ours, of))
+            cells = ["" if of is ours else "{:.2f} ({:.2f} to {:.2f})".format(*each) for each in compared]
             seconds = arms[arm]["processor_seconds"]["mean"]
-            rows.append(f"| {task}: {arm} | {arrived} | {iqm(of):,.0f} | {share} | {seconds:.0f} |")
+            rows.append(f"| {task}: {arm} | {arrived} | {iqm(of):,.0f} | {' | '.join(cells)} | {seconds:.0f} |")
     return "\n".join(rows)
 
 
