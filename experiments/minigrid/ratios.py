@@ -91,8 +91,8 @@ PAIRED = {
     "bonuses": {"four rooms": "four-rooms", "key corridors": "key-corridor"},
     "twenty": {"four rooms": "four-rooms"},
 }
-"""Tasks where agents see φ beside the observation, options have proposed groups, rivals have other bonuses, or there are
-twenty seeds, and the files of these agents, by the ending of their names."""
+"""Tasks where agents see φ beside the observation, options have proposed groups, rivals have other bonuses, or seeds
+are twenty, and the files of these agents, by the ending of their names."""
 
 REACHING = {
     **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},
