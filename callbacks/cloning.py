@@ -36,6 +36,9 @@ MAX_GRAD_NORM = 0.5
 MARGIN = 0.8
 """By how much the value of a demonstrated decision should exceed all others (Hester et al. 2018)."""
 
+FALLS_OVER = 0.5
+"""Share of training over which the weight of the margin falls to 0: measured in docs/studies/demonstrations.md."""
+
 TARGET_UPDATES = 100
 """Gradient steps between two copies to the target network, before the first step of training."""
 
@@ -109,8 +112,8 @@ class MarginLoss(Imitation):
     """The decisions of demonstrations, as a loss of action values (Hester et al. 2018, eq. 2).
 
     The value of a decision has to exceed those of all actions by `MARGIN`, but for others that explain the step: these
-    must not exceed it. The weight falls from 1 to 0 over the first half of the training, so that the agent may
-    become better than the demonstrations. Decisions follow the options of the bank when these change.
+    must not exceed it. The weight falls to 0 over the first half of the training (`FALLS_OVER`), so that the agent
+    may become better than the demonstrations. Decisions follow the options of the bank when these change.
     """
 
     def __init__(self, model: Any, bank: OptionBank, demonstrations: Sequence[Trajectory]) -> None:
@@ -142,10 +145,10 @@ class MarginLoss(Imitation):
             self._hook = None
 
     def _add(self, optimizer: torch.optim.Optimizer, *_: Any) -> None:
-        parameters = [each for group in optimizer.param_groups for each in group["params"] if each.requires_grad]
-        weight = 2.0 * self.model._current_progress_remaining - 1.0
+        weight = 1.0 - (1.0 - self.model._current_progress_remaining) / FALLS_OVER
         if weight <= 0.0:
             return
+        parameters = [each for group in optimizer.param_groups for each in group["params"] if each.requires_grad]
         gradients = torch.autograd.grad(weight * self.loss(), parameters, allow_unused=True)
         for parameter, gradient in zip(parameters, gradients, strict=True):
             if gradient is not None:

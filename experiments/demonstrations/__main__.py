@@ -19,7 +19,6 @@ from experiments.common.intervals import capped, iqm_ratio, steps_until
 from experiments.common.seeds import Part, Result, run_parts
 from experiments.common.study import Flags, show, write
 from experiments.demonstrations.conditions import (
-    ARMS,
     DQN,
     EPISODES,
     LEARNED,
@@ -52,7 +51,7 @@ class Study(Flags):
     noise: float = 0.0
     shown_in: str | None = None
     tasks: tuple[str, ...] = tuple(TASKS)
-    arms: tuple[Arm, ...] = ARMS
+    arms: tuple[Arm, ...] = ("options, cloning", "cloning")
 
 
 def main(study: Study) -> None:

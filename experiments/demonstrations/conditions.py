@@ -13,6 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
 from experiments.common.seeds import Result
+from experiments.deep.settings import DeepSettings
 from experiments.demonstrations.tasks import TASKS
 from sb3_options import OptionDQN, OptionsWrapper, record_demonstrations
 from sb3_options.callbacks import SubgoalDiscoveryCallback
@@ -29,8 +30,8 @@ Arm = Literal[
 
 ARMS: tuple[Arm, ...] = get_args(Arm)
 """Of MaskablePPO, unless DQN is named. ``demonstration loss``: every gradient of PPO includes that of
-`DemonstrationLoss`. ``DQN, cloning`` is a form of DQfD (Hester et al. 2018): its buffer has
-no priorities. ``PPO`` and ``DQN`` have no demonstrations."""
+`DemonstrationLoss`. ``DQN, cloning`` is a form of DQfD (Hester et al. 2018): its buffer has no priorities. ``PPO`` and
+``DQN`` have no demonstrations."""
 
 LEARNED, EPISODES = 0.8, 100
 """A run ends when so large a share of so many episodes in a row succeeds."""
@@ -62,19 +63,8 @@ class UntilLearned(BaseCallback):
         return len(self.recent) == EPISODES and float(np.mean(self.recent)) >= LEARNED
 
 
-DQN: dict[str, Any] = {
-    "learning_rate": 5e-4,
-    "buffer_size": 50_000,
-    "learning_starts": 500,
-    "batch_size": 64,
-    "train_freq": 1,
-    "gradient_steps": 4,
-    "target_update_interval": 100,
-    "exploration_fraction": 0.2,
-    "exploration_final_eps": 0.05,
-    "policy_kwargs": {"net_arch": [64, 64]},
-}
-"""Those of `experiments.deep`, chosen without options."""
+DQN: dict[str, Any] = DeepSettings().arguments("dqn", "stock")
+"""Chosen without options."""
 
 LOSS_WEIGHT, LOSS_DECAY = 0.1, 0.99
 """Weight of the demonstration loss in the first update, and its factor after each. Rajeswaran et al. (2018) have 0.1

@@ -15,7 +15,7 @@ from experiments.deep.tasks import SLACK, optimal_steps
 from experiments.demonstrations.experts import Policy, expert_of, room_expert, taxi_expert
 from experiments.methods.tasks import TAXI_STOPS, best_taxi_steps, taxi_to
 from sb3_options.envs.minigrid import DISCOVERY, make
-from sb3_options.runs.config import shipped
+from sb3_options.runs.config import configure
 
 Environment: TypeAlias = gym.Env[Any, Any]
 
@@ -51,30 +51,19 @@ class Task:
     discovery: Mapping[str, Any] = field(default_factory=dict)
 
 
-MINIGRID_PPO: dict[str, Any] = {
-    "learning_rate": 0.001,
-    "n_steps": 128,
-    "batch_size": 256,
-    "n_epochs": 4,
-    "gae_lambda": 0.95,
-    "ent_coef": 0.01,
-    "policy_kwargs": {"net_arch": [64, 64]},
-}
-"""Those of ``train.py`` for MiniGrid."""
+def _ppo(env_id: str) -> dict[str, Any]:
+    return configure(algo="maskableppo", env=env_id).algo_kwargs
 
 
 def _minigrid(env_id: str, frames: int, *, mission: bool = False) -> Task:
     """A task of MiniGrid; ``mission``: whether it names what the agent cannot see, and is part of the observation."""
     made = partial(make, env_id, mission=mission, last_action=True)
-    return Task(frames, made, expert_of, 0.99, 8, ppo=MINIGRID_PPO, discovery=DISCOVERY)
+    return Task(frames, made, expert_of, 0.99, 8, ppo=_ppo(env_id), discovery=DISCOVERY)
 
 
 def _with_table(frames: int, made: Callable[[], Environment], expert: Any, within: float) -> Task:
     """A task whose states fit a table."""
-    own = dict(shipped("defaults.yml")["ppo recurrentppo maskableppo"])
-    del own["n_envs"]
-    ppo = {"policy_kwargs": {"net_arch": own.pop("net_arch")}} | own
-    return Task(frames, made, expert, within=within, ppo=ppo)
+    return Task(frames, made, expert, within=within, ppo=_ppo("Taxi-v4"))
 
 
 def _room(name: str) -> Task:

@@ -381,6 +381,9 @@ def test_a_margin_follows_the_model_and_its_statistics(shown: list[Trajectory], 
     assert margin is not None
     later.learn(8, [discovery, EndsAtOnce()], reset_num_timesteps=False)
     assert margin.model is later
+    statistics: Any = env.obs_rms
+    statistics.mean[:] = 5.0
+    assert margin._batch(8)[0].max() < 0
 
 
 def test_rewards_are_normalised_by_the_returns_of_the_demonstrations(shown: list[Trajectory]) -> None:
