@@ -42,12 +42,6 @@ def _one_hot(numbers: IntArray, observations: Observations) -> FloatArray:
     return np.asarray(np.asarray(observations).reshape(-1, 1) == numbers, dtype=np.float64)
 
 
-def resolve(env: gym.Env[Any, Any], feature_map: FeatureMap | MapName | None) -> Features | None:
-    """Return the feature map for ``env``, by the rules of `of_space`."""
-    own = env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None
-    return of_space(env.observation_space, feature_map, own)
-
-
 def of_space(
     space: gym.Space[Any], feature_map: FeatureMap | MapName | None, own: FeatureMap | None
 ) -> Features | None:

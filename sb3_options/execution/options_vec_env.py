@@ -6,7 +6,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 from stable_baselines3.common.vec_env import (
     VecEnv,
     VecEnvWrapper,
@@ -17,19 +16,16 @@ from stable_baselines3.common.vec_env import (
 )
 
 from sb3_options.embedding.settings import MapName
-from sb3_options.execution import features as feature_maps
 from sb3_options.execution.above import Outermost
-from sb3_options.execution.option_step import RunUnderWay, why_ended
+from sb3_options.execution.option_step import RunUnderWay, advance_all, begin, choose_all
 from sb3_options.execution.recording import recorder_for, refuse_own
-from sb3_options.execution.slots import SlotState, Traits, checked_primitives, empty_bank, with_changes
+from sb3_options.execution.slots import WithSlots
 from sb3_options.execution.wrapper import TERMINATION_SEED, OptionsWrapper
 from sb3_options.experience.observations import (
     BoolArray,
     FeatureMap,
-    FloatArray,
     IntArray,
     Observations,
-    batch_of_one,
     keys_of,
     replaced,
     singles,
@@ -40,8 +36,6 @@ from sb3_options.experience.option_run import OptionRun, RunInfo, Termination
 from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.success import success_in
 from sb3_options.experience.trajectories import Trajectory
-from sb3_options.options.bank import checked_actions
-from sb3_options.options.option import Option
 
 Infos: TypeAlias = list[dict[str, Any]]
 
@@ -52,7 +46,7 @@ METHODS = ("action_masks", "available", "concept_features", "random_trajectories
 """What they call in environments."""
 
 
-class OptionsVecEnv(VecEnvWrapper):
+class OptionsVecEnv(WithSlots, VecEnvWrapper):
     """Adds ``max_options`` option slots to the actions of any ``VecEnv``, whose environments all step at once.
 
     It is `OptionsWrapper` for environments that are no Gymnasium environments, such as those of EnvPool or JAX. φ,
@@ -103,46 +97,28 @@ class OptionsVecEnv(VecEnvWrapper):
                     f"{changes.__name__} beneath OptionsVecEnv would be undone where options act: put "
                     "VecNormalize and VecTransposeImage above, and stack frames in the environment itself."
                 )
-        self.n_primitive = checked_primitives("OptionsVecEnv", venv.action_space, gamma, max_runs)
-        self.gamma = float(gamma)
-        self.max_runs = max_runs
-        space = venv.observation_space
-        observation_size = feature_maps.flat_size(space)
-        self.features = feature_maps.of_space(space, feature_map, getattr(venv, "concept_features", None))
-        self.bank = empty_bank(space, self.n_primitive, max_options, self.features, observation_size)
-        if options_file is not None:
-            self.bank.load(options_file)
+        actions = self._make_slots(
+            venv,
+            getattr(venv, "concept_features", None),
+            max_options=max_options,
+            gamma=gamma,
+            feature_map=feature_map,
+            options_file=options_file,
+            max_runs=max_runs,
+        )
         self._n_actions = self.n_primitive + max_options
         self._possible = frozenset(range(self._n_actions))
-        super().__init__(venv, action_space=spaces.Discrete(self._n_actions))
-        self.slot_state = SlotState()
+        VecEnvWrapper.__init__(self, venv, action_space=actions)
         self._observations: Any = None  # of the environments
         self._shown: Any = None  # the same, but of a waiting one the observation in which its option was chosen
-        self._running: dict[int, tuple[Option, RunUnderWay]] = {}  # by environment
+        self._running: dict[int, RunUnderWay] = {}  # by environment
         self._closed: set[int] = set()  # environments whose option was taken out of its slot while it runs
         self._runs = np.zeros((self.num_envs, max_options), dtype=np.int64)
-        self._groups: list[tuple[Option, IntArray]] = []  # options that run in the present step, and where
         self._actions = np.zeros(self.num_envs, dtype=np.int64)  # primitive ones, of the present step
         self._instead: BoolArray = np.zeros(self.num_envs, dtype=bool)  # whether they run in the place of a slot
         self._recorders: list[TrajectoryRecorder] = []
-        self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
         self._waits = OptionRun(-1, 0, 1.0, self.gamma, "running").as_info()
         self._reseed(None)
-
-    @property
-    def traits(self) -> Traits:
-        """What each environment is; with `bank`, all that others ask."""
-        features = self.features
-        return Traits(
-            self.n_primitive,
-            self.gamma,
-            self.max_runs,
-            False,
-            self.venv.observation_space,
-            features.kind if features else None,
-            features.groups if features else (),
-            self.bank.feature_size,
-        )
 
     def set_slots(self, **changes: Any) -> None:
         """Replace fields of the `SlotState` of all environments; ``options`` are added to those that it names.
@@ -150,29 +126,25 @@ class OptionsVecEnv(VecEnvWrapper):
         An option that runs goes on to its end, also where its slot was emptied: then it is not learned from.
         """
         before = self.slot_state
-        self.slot_state = now = with_changes(before, self.bank, self.features, changes)
+        former = self.bank.copy()
+        self._change_slots(changes)
+        now = self.slot_state
         emptied = [slot for slot, option in changes.get("options", {}).items() if option is None]
         self._runs[:, emptied] = 0
-        self._closed |= {env for env, (_, run) in self._running.items() if run.slot in emptied}
+        self._closed |= {env for env, run in self._running.items() if run.slot in emptied}
+        for run in self._running.values():
+            run.keep(former if run.bank is self.bank else run.bank)
         if (now.record, now.max_segment) != (before.record, before.max_segment):
             self._recorders = [recorder_for(now.max_segment) for _ in range(self.num_envs if now.record else 0)]
             if self._observations is not None:
                 self._begin_recording(range(self.num_envs))
-
-    def concept_features(self, observations: Observations) -> FloatArray:
-        """φ of a batch of observations, shape (batch, d)."""
-        return feature_maps.computed(self.features, observations, self.venv.observation_space)
-
-    def available(self, observations: Observations) -> BoolArray:
-        """Which augmented actions may start by initiation sets alone, shape (batch, n_primitive + max_options)."""
-        return self.bank.available(observations)
 
     def action_masks(self) -> BoolArray:
         """Which actions may be chosen now, (n_envs, n_primitive + max_options); where an option runs, it alone."""
         masks = np.ones((self.num_envs, self._n_actions), dtype=bool)
         masks[:, self.n_primitive :] = self._available_slots(self._observations)
         if self._running:
-            envs, slots = list(self._running), [run.slot for _, run in self._running.values()]
+            envs, slots = list(self._running), [run.slot for run in self._running.values()]
             masks[envs] = False
             masks[envs, self.n_primitive + np.array(slots)] = True
         return masks
@@ -185,9 +157,7 @@ class OptionsVecEnv(VecEnvWrapper):
     def reset(self) -> Any:
         """Begin an episode in every environment; no option runs."""
         self._observations = self._shown = self.venv.reset()
-        if self.features is not None and self.bank.feature_size is None:
-            one = batch_of_one(take(self._observations, 0))
-            self.bank.feature_size = feature_maps.checked_size(self.features.map, one)
+        self._measure_features(take(self._observations, 0))
         self._running.clear()
         self._closed.clear()
         self._runs[:] = 0
@@ -212,43 +182,36 @@ class OptionsVecEnv(VecEnvWrapper):
         slots = actions - self.n_primitive
         slots[list(self._running)] = -1
         self._instead = slots >= 0
-        chosen = set(slots[self._instead].tolist())
-        for slot in filter(chosen.__contains__, self.bank.filled):
-            self._start(slot, np.flatnonzero(slots == slot))
-        self._actions = np.where(self._instead, slots % self.n_primitive, actions) if chosen else actions.copy()
-        self._groups = self._by_option()
-        for option, envs in self._groups:
-            actions = option.policy(take(self._observations, envs))
-            self._actions[envs] = checked_actions(option, actions, self.n_primitive)
+        if self._instead.any():
+            self._begin(np.flatnonzero(self._instead), slots)
+            actions = np.where(self._instead, slots % self.n_primitive, actions)
+        self._actions = actions.copy()
+        if self._running:
+            self._actions[list(self._running)] = choose_all(self._running.values())
         self.venv.step_async(self._actions)
 
-    def _start(self, slot: int, envs: IntArray) -> None:
-        option = self.bank[slot]
+    def _begin(self, envs: IntArray, slots: IntArray) -> None:
+        """Begin the options that were chosen in ``envs``, where their slots are filled and may run once more."""
+        filled = self.bank.filled
+        begun = [(env, slot) for env, slot in zip(envs.tolist(), slots[envs].tolist(), strict=True) if slot in filled]
         if self.max_runs is not None:
-            envs = envs[self._runs[envs, slot] < self.max_runs]
-        if option is None or not len(envs):
-            return
-        self._instead[envs] = False
-        observations = take(self._observations, envs)
-        initiation = option.initiation(observations)
-        self._runs[envs, slot] += initiation
-        for env, observation, inside in zip(envs.tolist(), singles(observations), initiation.tolist(), strict=True):
-            self._running[env] = option, RunUnderWay(slot, observation, self.gamma, inside=inside)
-
-    def _by_option(self) -> list[tuple[Option, IntArray]]:
-        """The options that run, each with its environments; one that was replaced may run beside the later one."""
-        groups: dict[int, tuple[Option, list[int]]] = {}
-        for env, (option, _) in self._running.items():
-            groups.setdefault(id(option), (option, []))[1].append(env)
-        return [(option, np.array(envs)) for option, envs in groups.values()]
+            begun = [each for each in begun if self._runs[each] < self.max_runs]
+        observations = singles(take(self._observations, [env for env, _ in begun]))
+        random = [self._random[env] for env, _ in begun]
+        runs = begin(self.bank, [slot for _, slot in begun], observations, self.gamma, random)
+        for (env, slot), run in zip(begun, runs, strict=True):
+            self._running[env] = run
+            self._runs[env, slot] += run.inside
+            self._instead[env] = False
 
     def step_wait(self) -> Any:
         """Observations, rewards, whether episodes ended, and infos, as the class describes."""
         observations: Any
         observations, given, dones, infos = self.venv.step_wait()
         # Copies, because an environment may hand out one and the same dictionary every time.
+        reserved = ("option", "trajectory", "segments") if self._recorders else ("option",)
         for info in filter(None, infos):
-            refuse_own(info, "option")
+            refuse_own(info, *reserved)
         infos = [{**info, "option": self._primitive} for info in infos]
         ended: list[int] = np.flatnonzero(dones).tolist()
         led = observations
@@ -257,11 +220,11 @@ class OptionsVecEnv(VecEnvWrapper):
         self._record(given, led, dones, infos)
         self._observations = observations
         rewards = np.array(given, dtype=np.result_type(np.asarray(given), np.float32))  # sums of whole ones are none
-        endings = self._go_on(given, led, dones, infos)
-        for env, (_, run) in self._running.items():
-            rewards[env] = run.total if env in endings else 0.0
-        self._report(endings, led, infos)
-        for env in endings:
+        self._go_on(given, led, dones, infos)
+        for env, run in self._running.items():
+            rewards[env] = 0.0 if run.termination is None else run.total
+        self._report(led, infos)
+        for env in [env for env, run in self._running.items() if run.termination is not None]:
             del self._running[env]
             self._closed.discard(env)
         waiting = list(self._running)
@@ -271,32 +234,14 @@ class OptionsVecEnv(VecEnvWrapper):
             self._begin_recording(ended)
         return self._shown, rewards, dones, infos
 
-    def _go_on(
-        self, rewards: npt.NDArray[Any], led: Observations, dones: npt.NDArray[Any], infos: Infos
-    ) -> dict[int, Termination]:
-        """Add the present step to the options that run, and return why they ended, by environment, where they did."""
-        endings: dict[int, Termination] = {}
-        envs = list(self._running)
-        steps = zip(envs, self._actions[envs].tolist(), rewards[envs].tolist(), singles(take(led, envs)), strict=True)
-        for env, action, reward, observation in steps:
-            self._running[env][1].add(action, reward, observation)
-            if dones[env]:
-                endings[env] = _end_of_episode(infos[env])
-        for option, running in self._groups:
-            envs = running[~dones[running]]
-            if not len(envs):
-                continue
-            initiation, termination = option.membership(take(led, envs))
-            for env, inside, beta in zip(envs.tolist(), initiation.tolist(), termination.tolist(), strict=True):
-                run = self._running[env][1]
-                goes_on = run.inside and inside
-                k = len(run.actions)
-                why = why_ended(k, option.max_duration, beta, self._random[env], goes_on=goes_on)
-                if why is not None:
-                    endings[env] = why
-        return endings
+    def _go_on(self, rewards: npt.NDArray[Any], led: Observations, dones: npt.NDArray[Any], infos: Infos) -> None:
+        """Add the present step to the options that run."""
+        if self._running:
+            envs = list(self._running)
+            ended = [_end_of_episode(infos[env]) if done else None for env, done in zip(envs, dones[envs], strict=True)]
+            advance_all(list(self._running.values()), rewards[envs].tolist(), singles(take(led, envs)), ended)
 
-    def _report(self, endings: dict[int, Termination], led: Observations, infos: Infos) -> None:
+    def _report(self, led: Observations, infos: Infos) -> None:
         """Put what ran into ``info["option"]``, where it was no chosen primitive."""
         for env in np.flatnonzero(self._instead).tolist() if self._instead.any() else ():
             infos[env]["option"] = RunInfo(self._primitive, actions=self._actions[env : env + 1].copy())
@@ -304,17 +249,17 @@ class OptionsVecEnv(VecEnvWrapper):
         arrived = self._available_slots(led) if reports else None
         for row, info in zip(arrived if arrived is not None else (), infos, strict=False):
             info["option"] = RunInfo(info["option"], available=row[None])
-        for env, (_, run) in self._running.items():
+        for env, run in self._running.items():
             last = None if arrived is None else arrived[env]
-            infos[env]["option"] = self._ended(env, run, endings[env], last) if env in endings else self._waits
+            infos[env]["option"] = self._waits if run.termination is None else self._ended(env, run, last)
 
-    def _ended(self, env: int, run: RunUnderWay, why: Termination, last: BoolArray | None) -> RunInfo:
+    def _ended(self, env: int, run: RunUnderWay, last: BoolArray | None) -> RunInfo:
         """The info of a run that ended, with the slots available in the ``last`` observation."""
         available = None
         if last is not None:
             available = self.bank.available_slots(stack(run.observations[1:]))
             available[-1] = last
-        ended = run.ended(why, available)
+        ended = run.ended(available)
         if env in self._closed:  # no one may learn of it, nor of the slot's next option by it
             return OptionRun(-1, ended.duration, ended.discount, ended.gamma, "running").as_info()
         return ended._replace(chosen=self.n_primitive + run.slot).as_info()
@@ -325,7 +270,6 @@ class OptionsVecEnv(VecEnvWrapper):
         steps = zip(self._actions.tolist(), rewards.tolist(), singles(led), keys_of(led), strict=True)
         for recorder, step, done, info in zip(self._recorders, steps, dones.tolist(), infos, strict=True):
             recorder.record(*step)
-            refuse_own(info, "trajectory", "segments")
             if done:
                 truncated = _end_of_episode(info) == "truncated"
                 recorder.end(terminated=not truncated, truncated=truncated, is_success=success_in(info))

@@ -1,6 +1,7 @@
-"""`SlotState`: the options as sent to an environment. `Traits`: properties that an environment reports."""
+"""Option slots, as `OptionsWrapper` and `OptionsVecEnv` have them; what they are told, and what they are asked."""
 
 import dataclasses
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, cast
@@ -11,8 +12,11 @@ from gymnasium import spaces
 from sb3_options.checked import is_number, whole
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.embedding.learned_map import LearnedMap
+from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
 from sb3_options.execution.features import FeatureKind, Features
+from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
+from sb3_options.experience.option_run import OptionRun
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option
 
@@ -56,6 +60,75 @@ class Traits(NamedTuple):
     feature_size: int | None  # None without a feature map, or if only an observation reveals it
 
 
+class WithSlots:
+    """Option slots of one environment, or of all environments of a ``VecEnv``, and their feature map."""
+
+    def _make_slots(
+        self,
+        inner: Any,
+        own_map: FeatureMap | None,
+        *,
+        max_options: int,
+        gamma: float,
+        feature_map: FeatureMap | MapName | None,
+        options_file: str | os.PathLike[str] | None,
+        max_runs: int | None,
+    ) -> spaces.Discrete:
+        """Make slots over the ``inner`` environment, whose own φ is ``own_map``, and return the augmented actions."""
+        space = inner.observation_space
+        self.n_primitive = checked_primitives(type(self).__name__, inner.action_space, gamma, max_runs)
+        self.gamma = float(gamma)
+        self.max_runs = max_runs
+        observation_size = feature_maps.flat_size(space)
+        self.features = features = feature_maps.of_space(space, feature_map, own_map)
+        self.bank = OptionBank(
+            self.n_primitive,
+            max_options,
+            feature_map=features.map if features else None,
+            observation_size=observation_size,
+            feature_size=features.size if features else None,
+            signature=feature_maps.signature(space, features),
+        )
+        if options_file is not None:
+            self.bank.load(options_file)
+        self.slot_state = SlotState()
+        self._inner_space = space
+        self._has_masks = False
+        self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
+        return spaces.Discrete(self.n_primitive + max_options)
+
+    @property
+    def traits(self) -> Traits:
+        """Properties of each environment. With `bank` they hold all that others ask, also from another process."""
+        features = self.features
+        return Traits(
+            self.n_primitive,
+            self.gamma,
+            self.max_runs,
+            self._has_masks,
+            self._inner_space,
+            features.kind if features else None,
+            features.groups if features else (),
+            self.bank.feature_size,
+        )
+
+    def concept_features(self, observations: Observations) -> FloatArray:
+        """Return φ of a batch of observations, shape (batch, d)."""
+        return feature_maps.computed(self.features, observations, self._inner_space)
+
+    def available(self, observations: Observations) -> BoolArray:
+        """Return which augmented actions may start by initiation sets alone, (batch, n_primitive + max_options)."""
+        return self.bank.available(observations)
+
+    def _change_slots(self, changes: Mapping[str, Any]) -> None:
+        self.slot_state = with_changes(self.slot_state, self.bank, self.features, changes)
+
+    def _measure_features(self, observation: Any) -> None:
+        """Set the size of φ, if only an observation reveals it."""
+        if self.features is not None and self.bank.feature_size is None:
+            self.bank.feature_size = feature_maps.checked_size(self.features.map, batch_of_one(observation))
+
+
 def checked_primitives(whose: str, space: spaces.Space[Any], gamma: float, max_runs: int | None) -> int:
     """Return the number of primitive actions, after checking action space, γ and ``max_runs``."""
     if not isinstance(space, spaces.Discrete) or space.start != 0:
@@ -68,20 +141,6 @@ def checked_primitives(whose: str, space: spaces.Space[Any], gamma: float, max_r
     if max_runs is not None and not whole(max_runs, 1):
         raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs!r}.")
     return int(space.n)
-
-
-def empty_bank(
-    space: spaces.Space[Any], n_primitive: int, max_options: int, features: Features | None, observation_size: int
-) -> OptionBank:
-    """Return empty slots for options on observations of ``space``, flat rows of ``observation_size`` numbers."""
-    return OptionBank(
-        n_primitive,
-        max_options,
-        feature_map=features.map if features else None,
-        observation_size=observation_size,
-        feature_size=features.size if features else None,
-        signature=feature_maps.signature(space, features),
-    )
 
 
 def with_changes(

@@ -7,19 +7,17 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from stable_baselines3.common.monitor import Monitor
 
 from sb3_options.embedding.settings import MapName
-from sb3_options.execution import features as feature_maps
 from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
-from sb3_options.execution.option_step import RunUnderWay, StepReturn, why_ended
+from sb3_options.execution.option_step import StepReturn, begin
 from sb3_options.execution.recording import RecordTrajectories, refuse_own
-from sb3_options.execution.slots import SlotState, Traits, checked_primitives, empty_bank, with_changes
-from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
-from sb3_options.experience.option_run import OptionRun, RunInfo, Termination
+from sb3_options.execution.slots import WithSlots
+from sb3_options.experience.observations import BoolArray, FeatureMap
+from sb3_options.experience.option_run import RunInfo
 from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.success import success_in
 from sb3_options.experience.trajectories import Trajectory
@@ -31,7 +29,7 @@ TERMINATION_SEED = 0x0971055
 """Mixed into the seed of ``reset``: β draws from another stream than the environment."""
 
 
-class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
+class OptionsWrapper(WithSlots, gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
     """Adds ``max_options`` option slots to the actions of an environment with discrete actions.
 
     ``step(a)`` runs a primitive once, or an option to its end. It returns the last observation, the discounted sum Σ γⁱ
@@ -104,22 +102,19 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             check_finite=check_finite,
         )
         gym.Wrapper.__init__(self, env)
-        self.n_primitive = checked_primitives("OptionsWrapper", env.action_space, gamma, max_runs)
-        self.gamma = float(gamma)
-        self.max_runs = max_runs
         self.check_finite = check_finite
-        space = env.observation_space
-        observation_size = feature_maps.flat_size(space)
-        self.features = feature_maps.resolve(env, feature_map)
-        self.bank = empty_bank(space, self.n_primitive, max_options, self.features, observation_size)
-        if options_file is not None:
-            self.bank.load(options_file)
-        self.action_space: Any = spaces.Discrete(self.n_primitive + max_options)
-        self.slot_state = SlotState()
+        self.action_space: Any = self._make_slots(
+            env,
+            env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None,
+            max_options=max_options,
+            gamma=gamma,
+            feature_map=feature_map,
+            options_file=options_file,
+            max_runs=max_runs,
+        )
         self.outermost: gym.Env[Any, Any] = self
         self._has_masks = env.has_wrapper_attr("action_masks")
         self._all_primitives = np.ones(self.n_primitive, dtype=bool)
-        self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
         self._observation: Any = None
         self._random = np.random.default_rng(TERMINATION_SEED)  # until a reset is given a seed
         self._runs = np.zeros(max_options, dtype=np.int64)
@@ -128,28 +123,13 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._running: int | None = None
 
     @property
-    def traits(self) -> Traits:
-        """Properties of this wrapper. With `bank` they hold all that others ask, also from another process."""
-        features = self.features
-        return Traits(
-            self.n_primitive,
-            self.gamma,
-            self.max_runs,
-            self._has_masks,
-            self.observation_space,
-            features.kind if features else None,
-            features.groups if features else (),
-            self.bank.feature_size,
-        )
-
-    @property
     def above(self) -> tuple[str, ...]:
         """Classes of the wrappers above this one that may change steps, for `above.changing_steps`."""
         return names_of_changing(self.outermost, self)
 
     def set_slots(self, **changes: Any) -> None:
         """Replace fields of this environment's `SlotState`; new ``options`` are added to its present ones."""
-        self.slot_state = with_changes(self.slot_state, self.bank, self.features, changes)
+        self._change_slots(changes)
         for slot, option in changes.get("options", {}).items():
             if option is None:
                 self._runs[slot] = 0  # the next option starts at 0; a relearned one keeps its count
@@ -193,14 +173,6 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             trajectories += recorder.finished
         return trajectories
 
-    def concept_features(self, observations: Observations) -> FloatArray:
-        """Return φ of a batch of observations, shape (batch, d)."""
-        return feature_maps.computed(self.features, observations, self.observation_space)
-
-    def available(self, observations: Observations) -> BoolArray:
-        """Return which augmented actions may start by initiation sets alone, (batch, n_primitive + max_options)."""
-        return self.bank.available(observations)
-
     def action_masks(self) -> BoolArray:
         """Return which augmented actions may start now, shape (n_primitive + max_options,).
 
@@ -232,7 +204,11 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         legal = self._legal()
         if legal is not None:
             for slot in np.flatnonzero(slots).tolist():
-                slots[slot] = legal[self.bank.action(slot, self._observation)]
+                slots[slot] = legal[self._first_action(slot)]
+
+    def _first_action(self, slot: int) -> int:
+        """Return the primitive action of an option in the present observation."""
+        return self.bank.action(slot, self._observation, self.bank.answers_at(self._observation))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds the terminations of options with 0 < β < 1."""
@@ -244,8 +220,7 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
         self._observation = observation
         self._runs[:] = 0
         self._running = None  # an error may have ended the last episode inside an option
-        if self.features is not None and self.bank.feature_size is None:
-            self.bank.feature_size = feature_maps.checked_size(self.features.map, batch_of_one(observation))
+        self._measure_features(observation)
         return observation, info
 
     def step(self, action: int) -> StepReturn:
@@ -273,9 +248,9 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             return self._run_primitive(self._instead_of(slot), instead=True)
         observation = self._current_observation("step()")
         legal = self._legal()
-        if legal is not None and not legal[self.bank.action(slot, self._observation)]:
+        if legal is not None and not legal[self._first_action(slot)]:
             return self._run_primitive(self._instead_of(slot), instead=True)
-        return self._run_option(option, slot, observation)
+        return self._run_option(slot, observation)
 
     def _instead_of(self, slot: int) -> int:
         """Return the first legal primitive from slot mod n_primitive on, or that one if none is legal."""
@@ -306,35 +281,27 @@ class OptionsWrapper(gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
             option["actions"] = np.array([action])
         return self._reported(result, option)
 
-    def _run_option(self, option: Option, slot: int, observation: Any) -> StepReturn:
+    def _run_option(self, slot: int, observation: Any) -> StepReturn:
         """Run an option until the episode, β, I or its longest duration ends it, checked in this order.
 
         The option also ends, as if it had left I, if the environment masks its next primitive action. Outside I it runs
         for one step.
         """
-        inside = self.bank.may_start(slot, observation)
-        self._runs[slot] += inside
+        run = begin(self.bank, [slot], [observation], self.gamma, [self._random])[0]
+        self._runs[slot] += run.inside
         self._running = slot
-        run = RunUnderWay(slot, observation, self.gamma, inside=inside)
-        termination: Termination | None = None
-        action = self.bank.action(slot, observation)
-        while termination is None:
+        action = run.choose()
+        while run.termination is None:
             result = observation, reward, terminated, truncated, _ = self._primitive_step(action)
-            run.add(action, reward, observation)
-            if terminated or truncated:
-                termination = "terminated" if terminated else "truncated"
-                break
-            initiation, beta = self.bank.membership(slot, observation)
-            goes_on = inside and initiation
-            termination = why_ended(len(run.actions), option.max_duration, beta, self._random, goes_on=goes_on)
-            if termination is None:
-                action = self.bank.action(slot, observation)
+            run.advance(reward, observation, "terminated" if terminated else "truncated" if truncated else None)
+            if run.termination is None:
+                action = run.choose()
                 legal = self._legal()
                 if legal is not None and not legal[action]:
-                    termination = "left_initiation"
+                    run.termination = "left_initiation"
         self._running = None
         led = self._available_slots(run.observations[1:]) if self.slot_state.report_availability else None
-        return self._reported((observation, run.total, *result[2:]), run.ended(termination, led).as_info())
+        return self._reported((observation, run.total, *result[2:]), run.ended(led).as_info())
 
     def _primitive_step(self, action: int) -> StepReturn:
         result = self.env.step(action)

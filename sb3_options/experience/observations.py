@@ -41,8 +41,8 @@ def batch_of_one(observation: Any) -> Observations:
     return batch
 
 
-def stack(observations: list[Any]) -> Observations:
-    """Make a list of single observations one batch, in the same order."""
+def stack(observations: Sequence[Any]) -> Observations:
+    """Make single observations one batch, in the same order."""
     if isinstance(observations[0], Mapping):
         return {key: np.stack([o[key] for o in observations]) for key in observations[0]}
     return np.array(observations)
