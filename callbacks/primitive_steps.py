@@ -111,6 +111,8 @@ class PrimitiveStepsCallback(BaseCallback):
 
     def _start_counting(self) -> None:
         watch_workers(self.training_env)
+        self._has_actors = hasattr(self.training_env.unwrapped, "lost_actors")
+        self._normalizer = self.model.get_vec_normalize_env()
         self._rollout_buffer = option_rollout_buffer(self.model)
         self._rollouts = None
         if self.primitive_rollouts and self._rollout_buffer is not None:
@@ -148,12 +150,12 @@ class PrimitiveStepsCallback(BaseCallback):
         """Count one step of every environment, and return whether training goes on."""
         if self._leads:
             self._count_inner_steps(runs)
-            if hasattr(self.training_env.unwrapped, "lost_actors"):  # a RayVecEnv
-                self.logger.record("time/lost_actors", self.training_env.unwrapped.lost_actors)
+            if self._has_actors:
+                self.logger.record("time/lost_actors", self.training_env.unwrapped.lost_actors)  # type: ignore[attr-defined]  # a RayVecEnv
         buffer = self._rollout_buffer
         if buffer is None:
             return True
-        buffer.expect(self.locals["rewards"], runs, self.model.get_vec_normalize_env())
+        buffer.expect(self.locals["rewards"], runs, self._normalizer)
         # The model still learns from a rollout that this step completes.
         goes_on = self.model.num_timesteps < self._budget or buffer.pos + 1 == buffer.buffer_size
         if not goes_on:

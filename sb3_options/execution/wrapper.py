@@ -267,18 +267,17 @@ class OptionsWrapper(WithSlots, gym.Wrapper[Any, int, Any, int], RecordConstruct
         """Return the info of a step that is lost with its environment: a primitive step, cut off where it began."""
         return {"option": {**self._primitive_run(observation), "termination": "truncated"}}
 
-    def _primitive_run(self, led: Any) -> dict[str, Any]:
-        option = RunInfo(self._primitive)
+    def _primitive_run(self, led: Any) -> RunInfo:
         if self.slot_state.report_availability and self.bank.filled:
-            option["available"] = self._available_slots([led])
-        return option
+            return RunInfo(self._primitive, available=self._available_slots([led]))
+        return self._primitive
 
     def _run_primitive(self, action: int, *, instead: bool = False) -> StepReturn:
         """Run a primitive action that was chosen, or that runs ``instead`` of a slot."""
         result = self._primitive_step(action)
         option = self._primitive_run(result[0])
         if instead:
-            option["actions"] = np.array([action])
+            option = RunInfo(option, actions=np.array([action]))
         return self._reported(result, option)
 
     def _run_option(self, slot: int, observation: Any) -> StepReturn:

@@ -131,7 +131,7 @@ class SMDPAdvantages(RolloutBuffer):
         self.durations = np.ones((self.buffer_size, self.n_envs))
         self._learned_from: BoolArray = np.ones((self.buffer_size, self.n_envs), dtype=bool)
         self.discounts = np.full((self.buffer_size, self.n_envs), self.gamma)
-        self._expected: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None = None
+        self._expected: tuple[FloatArray, Sequence[OptionRun], VecNormalize | None] | None = None
         self._choices: dict[int, Choice] = getattr(self, "_choices", {})  # a rollout may end while options run
         super().reset()
 
@@ -145,11 +145,7 @@ class SMDPAdvantages(RolloutBuffer):
             runs: The run of each environment.
             normalizer: Normaliser of rewards, if there is one (`normalized_rewards`).
         """
-        durations = np.array([run.duration for run in runs], dtype=np.float64)
-        discounts = np.array([run.discount for run in runs], dtype=np.float64)
-        given = np.array(rewards, dtype=np.float64)
-        self._expected = given, normalized_rewards(rewards, runs, normalizer), durations, discounts
-        self._learned_from[self.pos] = [run.termination != "running" for run in runs]
+        self._expected = np.array(rewards, dtype=np.float64), runs, normalizer
 
     def add(self, *args: Any, **kwargs: Any) -> None:
         """Store one step of every environment."""
@@ -158,7 +154,27 @@ class SMDPAdvantages(RolloutBuffer):
                 f"{type(self).__name__} was not told how long the actions took: pass PrimitiveStepsCallback() or "
                 "SubgoalDiscoveryCallback() to learn()."
             )
-        (given, plain, durations, discounts), self._expected = self._expected, None
+        (given, runs, normalizer), self._expected = self._expected, None
+        if self._choices or not all(map(self._is_plain_step, runs)):
+            args = self._over_options(given, runs, normalizer, args, kwargs)
+        super().add(*args, **kwargs)
+
+    def _is_plain_step(self, run: OptionRun) -> bool:
+        """Whether SB3 itself stores a row correctly: then `reset` has filled in its duration and discount."""
+        return run.termination == "primitive" and run.duration == 1 and run.discount == self.gamma
+
+    def _over_options(
+        self,
+        given: FloatArray,
+        runs: Sequence[OptionRun],
+        normalizer: VecNormalize | None,
+        args: tuple[Any, ...],
+        kwargs: dict[str, Any],
+    ) -> tuple[Any, ...]:
+        """Store durations and discounts of a row; return what SB3 shall store, and change ``kwargs`` likewise."""
+        durations = np.array([run.duration for run in runs], dtype=np.float64)
+        discounts = np.array([run.discount for run in runs], dtype=np.float64)
+        self._learned_from[self.pos] = [run.termination != "running" for run in runs]
         observations, actions, rewards, starts, values, log_probs, *others = args
         if self._choices or not durations.all():
             self.waits = True
@@ -167,10 +183,10 @@ class SMDPAdvantages(RolloutBuffer):
             kwargs |= {} if masks is None else {"action_masks": np.array(masks)}
             self._swap_choices(durations == 0, starts, actions, log_probs, kwargs.get("action_masks"))
         bootstrap = np.asarray(rewards, dtype=np.float64) - given
-        rewards = plain + bootstrap * discounts / self.gamma
+        rewards = normalized_rewards(given, runs, normalizer) + bootstrap * discounts / self.gamma
         self.durations[self.pos] = durations
         self.discounts[self.pos] = discounts
-        super().add(observations, actions, rewards, starts, values, log_probs, *others, **kwargs)
+        return observations, actions, rewards, starts, values, log_probs, *others
 
     def _swap_choices(
         self,
