@@ -72,15 +72,15 @@ def check_options(model: BaseAlgorithm, venv: VecEnv) -> None:
         _check_masks(venv)
     if is_vecenv_wrapped(venv, OptionsVecEnv) and is_vecenv_wrapped(venv, VecFrameStack):
         raise ValueError(
-            "VecFrameStack above OptionsVecEnv would stack the observation in which an option was chosen again and "
-            "again while it runs: stack frames in the environment itself."
+            "While an option runs, VecFrameStack above OptionsVecEnv would stack copies of one observation: stack "
+            "frames in the environment itself."
         )
     if names := changing_steps(venv):
         raise ValueError(
-            f"{' and '.join(sorted(names))} above OptionsWrapper may change rewards, observations or the ends of "
-            "episodes, of which the steps inside options know nothing: put it beneath, for instance "
-            "OptionsWrapper(TimeLimit(env, 500)). A wrapper of your own whose step returns what the environment's step "
-            "returned says so by a class attribute, returns_steps_unchanged = True."
+            f"{' and '.join(sorted(names))} above OptionsWrapper may change rewards, observations or episode ends, "
+            "without seeing the steps inside options: put it beneath, for instance "
+            "OptionsWrapper(TimeLimit(env, 500)). If your own wrapper returns steps unchanged, declare it by the class "
+            "attribute returns_steps_unchanged = True."
         )
     check_gamma(model, venv)
     _check_same("options", [[None if option is None else option.name for option in bank.slots] for bank in banks])

@@ -279,7 +279,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         """Continue from a checkpoint, once training has started."""
         if (state["_margin"] is None) != (self._margin is None):
             raise ValueError(
-                "The checkpoint's values were fitted to demonstrations, or those here are, and not both: pass "
+                "Only one of checkpoint and model has values fitted to demonstrations: pass "
                 "SubgoalDiscoveryCallback the same demonstrations and clone as before."
             )
         restore(self, state)

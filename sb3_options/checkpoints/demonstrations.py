@@ -35,5 +35,5 @@ def load_demonstrations(path: str | os.PathLike[str]) -> list[Trajectory]:
         parts, arrays = unsealed(content, FORMAT)
         trajectories: list[Trajectory] = decode(parts["trajectories"], arrays)
         if not all(isinstance(each, Trajectory) for each in trajectories):
-            raise ValueError("it holds something else than trajectories")
+            raise ValueError("it holds something other than trajectories")
     return trajectories

@@ -152,8 +152,8 @@ class DiverseDensity:
 
         Args:
             bags: The evidence.
-            starts: Points (m, d). A gradient search tries them too, such as the peaks of the last search. Other
-                searches start from, or evaluate, them instead of the instances of positive bags.
+            starts: Points (m, d), such as the peaks of the last search. A gradient search adds them to its own points.
+                Other searches use them instead of the instances of positive bags.
 
         Returns:
             The peaks, prior included, no two within `APART_BY`. An exhaustive search returns the points that tie for

@@ -54,8 +54,8 @@ class OptionsVecEnv(WithSlots, VecEnvWrapper):
 
     While an option runs, its environment waits: each ``step_wait`` takes one primitive step everywhere and returns, for
     a waiting environment, the observation in which the option was chosen, a reward of 0 and a duration of 0. Its mask
-    allows that option alone, and the action that it is given does not count. With the step that ends the option it
-    returns what `OptionsWrapper.step` returns, and the same ``info["option"]`` with the action that was ``chosen``.
+    allows that option alone, and its action is ignored. The step that ends the option returns the same as
+    `OptionsWrapper.step`; its ``info["option"]`` also holds the ``chosen`` action.
     Replay and rollout buffers leave waiting rows out, so that algorithms learn from the same decisions. PPO, A2C and
     TRPO learn from an option in the rollout in which it ends. ``num_timesteps`` counts its steps then.
 
@@ -123,7 +123,7 @@ class OptionsVecEnv(WithSlots, VecEnvWrapper):
     def set_slots(self, **changes: Any) -> None:
         """Replace fields of the `SlotState` of all environments; ``options`` are added to those that it names.
 
-        An option that runs goes on to its end, also where its slot was emptied: then it is not learned from.
+        A running option continues to its end. If its slot was emptied, nothing is learned from it.
         """
         before = self.slot_state
         former = self.bank.copy()
@@ -284,7 +284,7 @@ class OptionsVecEnv(WithSlots, VecEnvWrapper):
     def random_trajectories(self, episodes: int, max_steps: int, seed: int) -> list[Trajectory]:
         """Return episodes of random primitive actions, truncated after ``max_steps``; reset afterwards.
 
-        Of every environment the same number, because the first to end would be short ones.
+        All environments provide equally many: the first to end would be short.
         """
         before = self.slot_state
         self.seed(seed)

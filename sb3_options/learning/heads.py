@@ -142,9 +142,8 @@ def check_outputs(policy: Any, actions_of: Callable[[], torch.Tensor]) -> None:
     if moved[:, :-1].abs().max() > ROUNDING or (moved[:, -1] - 1.0).abs().max() > ROUNDING:
         where = "q_net or quantile_net" if networks(policy) else "action_net"
         raise TypeError(
-            f"{type(policy).__name__} makes something else of the outputs of the last torch.nn.Linear of its {where}, "
-            "as dueling networks do, so that closing an empty slot would change all actions: let it return what that "
-            "layer gives."
+            f"{type(policy).__name__} changes the outputs of the last torch.nn.Linear of its {where}, as dueling "
+            "networks do, so closing an empty slot would change all actions: return that layer's outputs unchanged."
         )
 
 

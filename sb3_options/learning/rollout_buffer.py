@@ -104,7 +104,7 @@ class Choice(NamedTuple):
 
 
 class SMDPAdvantages(RolloutBuffer):
-    """Advantages of a semi-Markov process for a subclass of SB3's rollout buffer, after this class in the bases.
+    """Semi-Markov advantages: put this class before SB3's rollout buffer in the bases of a subclass.
 
     SB3 discounts every transition with γ, and adds γ V(s) to the last reward of an episode that timed out. Here both
     discounts are γᵏ for a transition of k primitive steps. SB3 does not pass infos to the buffer. Hence a callback

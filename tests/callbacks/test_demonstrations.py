@@ -549,7 +549,7 @@ def test_a_file_holds_the_same_trajectories_and_a_damaged_one_is_refused(
     with pytest.raises(ValueError, match="holds no demonstrations, or it is damaged"):
         load_demonstrations(path)
     save_demonstrations(path, [shown[0], "no trajectory"])  # type: ignore[list-item]
-    with pytest.raises(ValueError, match="something else than trajectories"):
+    with pytest.raises(ValueError, match="something other than trajectories"):
         load_demonstrations(path)
     OptionBank(4, 1).save(path)
     with pytest.raises(ValueError, match="its format is"):

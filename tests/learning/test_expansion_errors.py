@@ -84,7 +84,7 @@ def test_other_models_are_refused() -> None:
         expand_action_space(PPO("MlpPolicy", Continuous(), n_steps=8, batch_size=8, device="cpu"))
     model = small_model().learn(8)
     model.policy.q_net.q_net.append(torch.nn.Tanh())
-    with pytest.raises(TypeError, match="DQNPolicy makes something else of the outputs of the last"):
+    with pytest.raises(TypeError, match="DQNPolicy changes the outputs of the last"):
         expand_action_space(model)
     model = small_model()
     model.policy.q_net_target = None

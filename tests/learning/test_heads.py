@@ -191,9 +191,9 @@ def test_heads_of_a_users_own_network_are_found_by_their_shape(network: type[Any
 @pytest.mark.parametrize(
     ("network", "message"),
     [
-        (Dueling, "Policy makes something else of the outputs of the last torch.nn.Linear of its q_net"),
+        (Dueling, "Policy changes the outputs of the last torch.nn.Linear of its q_net"),
         (Narrow, r"q_net or quantile_net of Policy must end in torch.nn.Linear\(n, 7\) with a bias"),
-        (Elsewhere, "Elsewhere makes something else of the outputs of the last torch.nn.Linear of its action_net"),
+        (Elsewhere, "Elsewhere changes the outputs of the last torch.nn.Linear of its action_net"),
     ],
 )
 def test_networks_of_a_users_own_that_cannot_be_closed_are_refused(
