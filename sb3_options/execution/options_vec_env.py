@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import (
 
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution.above import Outermost
-from sb3_options.execution.option_step import RunUnderWay, advance_all, begin, choose_all
+from sb3_options.execution.option_step import RunUnderWay, advance_all, choose_all
 from sb3_options.execution.recording import recorder_for, refuse_own
 from sb3_options.execution.slots import WithSlots
 from sb3_options.execution.wrapper import TERMINATION_SEED, OptionsWrapper
@@ -97,15 +97,8 @@ class OptionsVecEnv(WithSlots, VecEnvWrapper):
                     f"{changes.__name__} beneath OptionsVecEnv would be undone where options act: put "
                     "VecNormalize and VecTransposeImage above, and stack frames in the environment itself."
                 )
-        actions = self._make_slots(
-            venv,
-            getattr(venv, "concept_features", None),
-            max_options=max_options,
-            gamma=gamma,
-            feature_map=feature_map,
-            options_file=options_file,
-            max_runs=max_runs,
-        )
+        own_map = getattr(venv, "concept_features", None)
+        actions = self._make_slots(venv, own_map, max_options, gamma, feature_map, options_file, max_runs)
         self._n_actions = self.n_primitive + max_options
         self._possible = frozenset(range(self._n_actions))
         VecEnvWrapper.__init__(self, venv, action_space=actions)
@@ -126,14 +119,11 @@ class OptionsVecEnv(WithSlots, VecEnvWrapper):
         A running option continues to its end. If its slot was emptied, nothing is learned from it.
         """
         before = self.slot_state
-        former = self.bank.copy()
         self._change_slots(changes)
         now = self.slot_state
         emptied = [slot for slot, option in changes.get("options", {}).items() if option is None]
         self._runs[:, emptied] = 0
         self._closed |= {env for env, run in self._running.items() if run.slot in emptied}
-        for run in self._running.values():
-            run.keep(former if run.bank is self.bank else run.bank)
         if (now.record, now.max_segment) != (before.record, before.max_segment):
             self._recorders = [recorder_for(now.max_segment) for _ in range(self.num_envs if now.record else 0)]
             if self._observations is not None:
@@ -183,26 +173,31 @@ class OptionsVecEnv(WithSlots, VecEnvWrapper):
         slots[list(self._running)] = -1
         self._instead = slots >= 0
         if self._instead.any():
-            self._begin(np.flatnonzero(self._instead), slots)
+            chosen = set(slots[self._instead].tolist())
+            for slot in filter(chosen.__contains__, self.bank.filled):
+                self._begin(slot, np.flatnonzero(slots == slot))
             actions = np.where(self._instead, slots % self.n_primitive, actions)
         self._actions = actions.copy()
         if self._running:
-            self._actions[list(self._running)] = choose_all(self._running.values())
+            self._actions[list(self._running)] = choose_all(self.bank, self._running.values())
         self.venv.step_async(self._actions)
 
-    def _begin(self, envs: IntArray, slots: IntArray) -> None:
-        """Begin the options that were chosen in ``envs``, where their slots are filled and may run once more."""
-        filled = self.bank.filled
-        begun = [(env, slot) for env, slot in zip(envs.tolist(), slots[envs].tolist(), strict=True) if slot in filled]
+    def _begin(self, slot: int, envs: IntArray) -> None:
+        option = self.bank[slot]
         if self.max_runs is not None:
-            begun = [each for each in begun if self._runs[each] < self.max_runs]
-        observations = singles(take(self._observations, [env for env, _ in begun]))
-        random = [self._random[env] for env, _ in begun]
-        runs = begin(self.bank, [slot for _, slot in begun], observations, self.gamma, random)
-        for (env, slot), run in zip(begun, runs, strict=True):
+            envs = envs[self._runs[envs, slot] < self.max_runs]
+        if option is None or not len(envs):
+            return
+        self._instead[envs] = False
+        observations = take(self._observations, envs)
+        if self.bank.looks_up(slot, option, len(envs)):
+            initiation = [self.bank.may_start(slot, observation) for observation in singles(observations)]
+        else:
+            initiation = option.initiation(observations).tolist()
+        self._runs[envs, slot] += initiation
+        for env, observation, inside in zip(envs.tolist(), singles(observations), initiation, strict=True):
+            run = RunUnderWay(slot, option, observation, self.gamma, self._random[env], inside=inside)
             self._running[env] = run
-            self._runs[env, slot] += run.inside
-            self._instead[env] = False
 
     def step_wait(self) -> Any:
         """Observations, rewards, whether episodes ended, and infos, as the class describes."""
@@ -239,7 +234,9 @@ class OptionsVecEnv(WithSlots, VecEnvWrapper):
         if self._running:
             envs = list(self._running)
             ended = [_end_of_episode(infos[env]) if done else None for env, done in zip(envs, dones[envs], strict=True)]
-            advance_all(list(self._running.values()), rewards[envs].tolist(), singles(take(led, envs)), ended)
+            advance_all(
+                self.bank, list(self._running.values()), rewards[envs].tolist(), singles(take(led, envs)), ended
+            )
 
     def _report(self, led: Observations, infos: Infos) -> None:
         """Put what ran into ``info["option"]``, where it was no chosen primitive."""

@@ -14,7 +14,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution import features as feature_maps
-from sb3_options.execution.features import FeatureKind, Features
+from sb3_options.execution.features import FeatureKind
 from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, Observations, batch_of_one
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.options.bank import OptionBank
@@ -63,11 +63,12 @@ class Traits(NamedTuple):
 class WithSlots:
     """Option slots of one environment, or of all environments of a ``VecEnv``, and their feature map."""
 
+    _has_masks = False  # whether the environment masks its own actions
+
     def _make_slots(
         self,
         inner: Any,
         own_map: FeatureMap | None,
-        *,
         max_options: int,
         gamma: float,
         feature_map: FeatureMap | MapName | None,
@@ -93,7 +94,6 @@ class WithSlots:
             self.bank.load(options_file)
         self.slot_state = SlotState()
         self._inner_space = space
-        self._has_masks = False
         self._primitive = OptionRun(-1, 1, self.gamma, self.gamma, "primitive").as_info()
         return spaces.Discrete(self.n_primitive + max_options)
 
@@ -121,7 +121,20 @@ class WithSlots:
         return self.bank.available(observations)
 
     def _change_slots(self, changes: Mapping[str, Any]) -> None:
-        self.slot_state = with_changes(self.slot_state, self.bank, self.features, changes)
+        """Change bank, learned map and state."""
+        options: Mapping[int, Option | None] = changes.get("options", {})
+        later = dataclasses.replace(self.slot_state, **changes)
+        for slot, option in options.items():
+            self.bank.check_slot(slot)
+            if option is not None:
+                self.bank.add(option, slot)
+            elif slot in self.bank.filled:
+                self.bank.remove(slot)
+        if changes.get("learned_map") is not None:
+            assert self.features is not None  # a map is learned only where there is one
+            cast("LearnedMap", self.features.map).load(changes["learned_map"])
+            self.bank.bind(self.features.map)  # and forget what followed from the former one
+        self.slot_state = dataclasses.replace(later, options={**self.slot_state.options, **options})
 
     def _measure_features(self, observation: Any) -> None:
         """Set the size of φ, if only an observation reveals it."""
@@ -141,22 +154,3 @@ def checked_primitives(whose: str, space: spaces.Space[Any], gamma: float, max_r
     if max_runs is not None and not whole(max_runs, 1):
         raise ValueError(f"max_runs must be a whole number, at least 1, or None for no limit, got {max_runs!r}.")
     return int(space.n)
-
-
-def with_changes(
-    state: SlotState, bank: OptionBank, features: Features | None, changes: Mapping[str, Any]
-) -> SlotState:
-    """Change ``bank`` and the learned map, and return the state with the changed fields."""
-    options: Mapping[int, Option | None] = changes.get("options", {})
-    later = dataclasses.replace(state, **changes)
-    for slot, option in options.items():
-        bank.check_slot(slot)
-        if option is not None:
-            bank.add(option, slot)
-        elif slot in bank.filled:
-            bank.remove(slot)
-    if changes.get("learned_map") is not None:
-        assert features is not None  # a map is learned only where there is one
-        cast("LearnedMap", features.map).load(changes["learned_map"])
-        bank.bind(features.map)  # and forget what followed from the former one
-    return dataclasses.replace(later, options={**state.options, **options})

@@ -13,11 +13,11 @@ from stable_baselines3.common.monitor import Monitor
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution.above import count_primitive_steps, names_of_changing
 from sb3_options.execution.finite import check_finite
-from sb3_options.execution.option_step import StepReturn, begin
+from sb3_options.execution.option_step import RunUnderWay, StepReturn
 from sb3_options.execution.recording import RecordTrajectories, refuse_own
 from sb3_options.execution.slots import WithSlots
 from sb3_options.experience.observations import BoolArray, FeatureMap
-from sb3_options.experience.option_run import RunInfo
+from sb3_options.experience.option_run import RunInfo, Termination
 from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.success import success_in
 from sb3_options.experience.trajectories import Trajectory
@@ -106,11 +106,11 @@ class OptionsWrapper(WithSlots, gym.Wrapper[Any, int, Any, int], RecordConstruct
         self.action_space: Any = self._make_slots(
             env,
             env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None,
-            max_options=max_options,
-            gamma=gamma,
-            feature_map=feature_map,
-            options_file=options_file,
-            max_runs=max_runs,
+            max_options,
+            gamma,
+            feature_map,
+            options_file,
+            max_runs,
         )
         self.outermost: gym.Env[Any, Any] = self
         self._has_masks = env.has_wrapper_attr("action_masks")
@@ -204,11 +204,7 @@ class OptionsWrapper(WithSlots, gym.Wrapper[Any, int, Any, int], RecordConstruct
         legal = self._legal()
         if legal is not None:
             for slot in np.flatnonzero(slots).tolist():
-                slots[slot] = legal[self._first_action(slot)]
-
-    def _first_action(self, slot: int) -> int:
-        """Return the primitive action of an option in the present observation."""
-        return self.bank.action(slot, self._observation, self.bank.answers_at(self._observation))
+                slots[slot] = legal[self.bank.action(slot, self._observation)]
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; ``seed`` also seeds the terminations of options with 0 < β < 1."""
@@ -248,9 +244,9 @@ class OptionsWrapper(WithSlots, gym.Wrapper[Any, int, Any, int], RecordConstruct
             return self._run_primitive(self._instead_of(slot), instead=True)
         observation = self._current_observation("step()")
         legal = self._legal()
-        if legal is not None and not legal[self._first_action(slot)]:
+        if legal is not None and not legal[self.bank.action(slot, self._observation)]:
             return self._run_primitive(self._instead_of(slot), instead=True)
-        return self._run_option(slot, observation)
+        return self._run_option(option, slot, observation)
 
     def _instead_of(self, slot: int) -> int:
         """Return the first legal primitive from slot mod n_primitive on, or that one if none is legal."""
@@ -268,33 +264,36 @@ class OptionsWrapper(WithSlots, gym.Wrapper[Any, int, Any, int], RecordConstruct
         return {"option": {**self._primitive_run(observation), "termination": "truncated"}}
 
     def _primitive_run(self, led: Any) -> RunInfo:
+        option = RunInfo(self._primitive)
         if self.slot_state.report_availability and self.bank.filled:
-            return RunInfo(self._primitive, available=self._available_slots([led]))
-        return self._primitive
+            option["available"] = self._available_slots([led])
+        return option
 
     def _run_primitive(self, action: int, *, instead: bool = False) -> StepReturn:
         """Run a primitive action that was chosen, or that runs ``instead`` of a slot."""
         result = self._primitive_step(action)
         option = self._primitive_run(result[0])
         if instead:
-            option = RunInfo(option, actions=np.array([action]))
+            option["actions"] = np.array([action])
         return self._reported(result, option)
 
-    def _run_option(self, slot: int, observation: Any) -> StepReturn:
+    def _run_option(self, option: Option, slot: int, observation: Any) -> StepReturn:
         """Run an option until the episode, β, I or its longest duration ends it, checked in this order.
 
         The option also ends, as if it had left I, if the environment masks its next primitive action. Outside I it runs
         for one step.
         """
-        run = begin(self.bank, [slot], [observation], self.gamma, [self._random])[0]
-        self._runs[slot] += run.inside
+        inside = self.bank.may_start(slot, observation)
+        self._runs[slot] += inside
         self._running = slot
-        action = run.choose()
+        run = RunUnderWay(slot, option, observation, self.gamma, self._random, inside=inside)
+        action = run.choose(self.bank)
         while run.termination is None:
             result = observation, reward, terminated, truncated, _ = self._primitive_step(action)
-            run.advance(reward, observation, "terminated" if terminated else "truncated" if truncated else None)
+            ended: Termination | None = "terminated" if terminated else "truncated" if truncated else None
+            run.advance(self.bank, reward, observation, ended)
             if run.termination is None:
-                action = run.choose()
+                action = run.choose(self.bank)
                 legal = self._legal()
                 if legal is not None and not legal[action]:
                     run.termination = "left_initiation"

@@ -88,7 +88,7 @@ class OptionRun(NamedTuple):
 
 
 class RunInfo(dict[str, Any]):
-    """Value of ``info["option"]``. Nothing changes it, so vectorised environments need not copy it."""
+    """Value of ``info["option"]``. Vectorised environments do not copy it: only `OptionsWrapper` changes it."""
 
     def __deepcopy__(self, memo: Any) -> RunInfo:
         return self

@@ -161,7 +161,8 @@ class SMDPAdvantages(RolloutBuffer):
 
     def _is_plain_step(self, run: OptionRun) -> bool:
         """Whether SB3 itself stores a row correctly: then `reset` has filled in its duration and discount."""
-        return run.termination == "primitive" and run.duration == 1 and run.discount == self.gamma
+        one_step = run.duration == 1 and run.discount == self.gamma
+        return one_step and run.termination == "primitive" and run.rewards is None
 
     def _over_options(
         self,

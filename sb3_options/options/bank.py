@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, TypeGuard, cast
 
@@ -18,6 +18,7 @@ from sb3_options.experience.observations import (
     FloatArray,
     IntArray,
     Observations,
+    batch_of_one,
     batch_size,
     key_of,
     stack,
@@ -27,11 +28,14 @@ from sb3_options.options.file import MAX_SLOTS, OptionsFile, SpaceSignature, che
 from sb3_options.options.option import CACHE_BYTES, KnownFeatures, KnownResults, Option, SubgoalOption
 from sb3_options.options.sealed import errors_of
 
+FEW, TRIAL, HITS = 8, 500, 4
+"""Few observations are looked up one by one if after a trial each new one was asked for at least so many times."""
+
 ANSWERS_BYTES = 600
 """Memory of `Answers` and their entries, besides the observation and its features; approximate."""
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True)
 class Answers:
     """Answers of the options of a bank at one observation, each computed when it is first asked for.
 
@@ -39,14 +43,12 @@ class Answers:
         key: Bytes of φ.
         features: φ, (1, d), in the memory of ``key``; None if an option is hand-made.
         available: Which options may start, (max_options,).
-        members: By slot: whether the observation lies in I, and β there.
         actions: By slot: the primitive action of π.
     """
 
     key: bytes = b""
     features: FloatArray | None = None
     available: BoolArray | None = None
-    members: dict[int, tuple[bool, float]] = field(default_factory=dict)
     actions: dict[int, int] = field(default_factory=dict)
 
 
@@ -148,112 +150,89 @@ class OptionBank:
 
     def available_slots(self, observations: Observations) -> BoolArray:
         """Return which options may start in each observation, shape (batch, max_options)."""
-        if self._is_by_data():
+        if self.by_data:
             return self._known(self._computed_slots, observations).copy()
         return self._computed_slots(observations)
 
     def available_in(self, observations: Sequence[Any]) -> BoolArray:
-        """Return `available_slots` of single observations, each looked up for itself."""
-        if not self._is_by_data():
-            return self._computed_slots(stack(observations))
-        answers = self.answers(observations) if len(observations) > 1 else [self.answers_at(observations[0])]
+        """`available_slots` of single observations, each looked up for itself."""
+        if len(observations) == 1:
+            return np.array([self.available_at(observations[0])])
+        if not self.by_data:
+            return self._computed_slots(stack(list(observations)))
+        answers = list(map(self._answers_at, observations))
         new = [each for each in answers if each.available is None]
         if new:
-            members = [self._members_of(slot, (), new) for slot in self.filled]
-            for row, each in enumerate(new):
-                each.available = np.zeros(self.max_options, dtype=bool)
-                each.available[list(self.filled)] = [of_slot[row][0] for of_slot in members]
+            features = np.concatenate([cast("FloatArray", each.features) for each in new])
+            for each, available in zip(new, self._slots_at(features), strict=True):
+                each.available = available
         return np.array([each.available for each in answers])
 
-    def answers(self, observations: Sequence[Any]) -> list[Answers]:
-        """Return `Answers` at single observations. φ of the new ones is computed in one call."""
-        if not self._is_by_data():
-            return [Answers() for _ in observations]
-        keys = list(map(key_of, observations))
-        answers = list(map(self._answers.get, keys))
-        if None not in answers:
-            return cast("list[Answers]", answers)
-        new = {key: at for key, at, known in zip(keys, observations, answers, strict=True) if known is None}
-        if self._answers_bytes > CACHE_BYTES:
-            self._forget_answers()
-        features = cast("KnownFeatures", self._shared).computed(stack(list(new.values())))
-        for key, row in zip(new, features, strict=True):
-            self._answers[key] = self._answers_of(row)
-            self._answers_bytes += len(key) + row.nbytes + ANSWERS_BYTES
-        return [known or self._answers[key] for key, known in zip(keys, answers, strict=True)]
+    def available_at(self, observation: Any) -> BoolArray:
+        """Return which options may start in one observation, shape (max_options,). Not to be changed."""
+        if not self.by_data:
+            return np.asarray(self._computed_slots(batch_of_one(observation))[0])
+        answers = self._answers_at(observation)
+        if answers.available is None:
+            available = [False] * self.max_options
+            for slot in self.filled:
+                option = cast("SubgoalOption", self._slots[slot])
+                available[slot] = option.member(cast("FloatArray", answers.features), answers.key)[0]
+            answers.available = np.array(available)
+        return answers.available
 
-    def answers_at(self, observation: Any) -> Answers:
-        """Return `Answers` at one observation."""
-        known = self._answers.get(key_of(observation)) if self._is_by_data() else None
-        return known or self.answers([observation])[0]
+    def may_start(self, slot: int, observation: Any) -> bool:
+        """Return whether one observation lies in I of the option in a slot."""
+        if self.by_data:
+            return bool(self.available_at(observation)[slot])
+        return bool(cast("Option", self._slots[slot]).initiation(batch_of_one(observation))[0])
 
-    def _answers_of(self, features: FloatArray) -> Answers:
-        key = features.tobytes()
+    def membership(self, slot: int, observation: Any) -> tuple[bool, float]:
+        """Return whether one observation lies in I of the option in a slot, and β there."""
+        answers = self._answers_at(observation)
+        option = cast("Option", self._slots[slot])
+        if answers.features is None:
+            initiation, termination = option.membership(batch_of_one(observation))
+            return bool(initiation[0]), float(termination[0])
+        inside, arrived = cast("SubgoalOption", option).member(answers.features, answers.key)
+        return inside, float(arrived)
+
+    def action(self, slot: int, observation: Any) -> int:
+        """Return the primitive action in one observation of the option in a slot."""
+        answers = self._answers_at(observation)
+        known = answers.actions.get(slot)
+        if known is None:
+            option = cast("Option", self._slots[slot])
+            if answers.features is not None and cast("SubgoalOption", option).policy_input == "features":
+                actions = cast("SubgoalOption", option).policy_at(answers.features)
+            else:
+                actions = option.policy(batch_of_one(observation))
+            known = answers.actions[slot] = int(checked_actions(option, actions, self.n_primitive)[0])
+        return known
+
+    def looks_up(self, slot: int, option: Option, n: int) -> bool:
+        """Return whether n observations are quicker looked up one by one than asked of a slot's option in a batch."""
+        new = len(self._answers)
+        recur = new < TRIAL or self._lookups > HITS * new
+        return n <= FEW and self.by_data and recur and self._slots[slot] is option
+
+    def _answers_at(self, observation: Any) -> Answers:
+        if not self.by_data:
+            return Answers()
+        self._lookups += 1
+        key = key_of(observation)
+        answers = self._answers.get(key)
+        if answers is None:
+            if self._answers_bytes > CACHE_BYTES:
+                self._forget_answers()
+            answers = self._answers[key] = self._new_answers(observation)
+            self._answers_bytes += len(key) + len(answers.key) + ANSWERS_BYTES
+        return answers
+
+    def _new_answers(self, observation: Any) -> Answers:
+        key = cast("KnownFeatures", self._shared).computed(batch_of_one(observation)).tobytes()
         answers = Answers(key, np.frombuffer(key)[None])
         return self._answers_by_features.setdefault(key, answers) if self._sees_features else answers
-
-    def may_start(self, slots: Sequence[int], observations: Sequence[Any], answers: Sequence[Answers]) -> list[bool]:
-        """Return whether each observation lies in I of the option in a slot."""
-        if self._by_data:
-            self.compute_memberships(slots, observations, answers)
-            return [each.members[slot][0] for slot, each in zip(slots, answers, strict=True)]
-        may = [False] * len(slots)
-        for slot, rows in _unknown(slots, [()] * len(slots)):
-            initiation = cast("Option", self._slots[slot]).initiation(stack([observations[row] for row in rows]))
-            for row, inside in zip(rows, initiation.tolist(), strict=True):
-                may[row] = inside
-        return may
-
-    def membership(self, slot: int, observation: Any, answers: Answers) -> tuple[bool, float]:
-        """Return whether one observation lies in I of the option in a slot, and β there."""
-        if slot not in answers.members:
-            self.compute_memberships([slot], [observation], [answers])
-        return answers.members[slot]
-
-    def action(self, slot: int, observation: Any, answers: Answers) -> int:
-        """Return the primitive action in one observation of the option in a slot."""
-        if slot not in answers.actions:
-            self.compute_actions([slot], [observation], [answers])
-        return answers.actions[slot]
-
-    def compute_memberships(
-        self, slots: Sequence[int], observations: Sequence[Any], answers: Sequence[Answers]
-    ) -> None:
-        """Compute `membership` of several runs where it is not known, in one call for each option."""
-        for slot, rows in _unknown(slots, [each.members for each in answers]):
-            members = self._members_of(slot, [observations[row] for row in rows], [answers[row] for row in rows])
-            for row, member in zip(rows, members, strict=True):
-                answers[row].members[slot] = member
-
-    def compute_actions(self, slots: Sequence[int], observations: Sequence[Any], answers: Sequence[Answers]) -> None:
-        """Compute `action` of several runs where it is not known, in one call for each option."""
-        for slot, rows in _unknown(slots, [each.actions for each in answers]):
-            actions = self._actions_of(slot, [observations[row] for row in rows], [answers[row] for row in rows])
-            for row, action in zip(rows, actions, strict=True):
-                answers[row].actions[slot] = action
-
-    def _members_of(
-        self, slot: int, observations: Sequence[Any], answers: Sequence[Answers]
-    ) -> list[tuple[bool, float]]:
-        option = cast("Option", self._slots[slot])
-        first = answers[0]
-        if first.features is None:
-            initiation, termination = option.membership(stack(observations))
-            return list(zip(initiation.tolist(), termination.tolist(), strict=True))
-        if len(answers) == 1:
-            members = [cast("SubgoalOption", option).member(first.features, first.key)]
-        else:
-            members = cast("SubgoalOption", option).membership_at(_features(answers)).tolist()
-        return [(initiation, float(arrived)) for initiation, arrived in members]
-
-    def _actions_of(self, slot: int, observations: Sequence[Any], answers: Sequence[Answers]) -> list[int]:
-        option = cast("Option", self._slots[slot])
-        if answers[0].features is not None and cast("SubgoalOption", option).policy_input == "features":
-            actions = cast("SubgoalOption", option).policy_at(_features(answers))
-        else:
-            actions = option.policy(stack(observations))
-        checked: list[int] = checked_actions(option, actions, self.n_primitive).tolist()
-        return checked
 
     def _computed_slots(self, observations: Observations) -> BoolArray:
         mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
@@ -267,11 +246,19 @@ class OptionBank:
                 mask[:, slot] = option.initiation(observations)
         return mask
 
+    def _slots_at(self, features: FloatArray) -> BoolArray:
+        """Return which options, all of data, may start at each row of φ, (batch, max_options)."""
+        mask = np.zeros((len(features), self.max_options), dtype=bool)
+        for slot in self.filled:
+            mask[:, slot] = cast("SubgoalOption", self._slots[slot]).membership_at(features)[:, 0]
+        return mask
+
     def _is_bound(self, option: Option | None) -> TypeGuard[SubgoalOption]:
         """Whether an option consists of data and acts on the bank's φ."""
         return isinstance(option, SubgoalOption) and option.known_features is self._shared is not None
 
-    def _is_by_data(self) -> bool:
+    @property
+    def by_data(self) -> bool:
         """Whether all options are made of data only, so that results may be kept: a hand-made one may have a memory."""
         if self._by_data and cast("KnownFeatures", self._shared).scale is not self._scale:
             self._forget_results()  # the feature map was learned anew
@@ -289,7 +276,7 @@ class OptionBank:
     def _forget_answers(self) -> None:
         self._answers: dict[bytes, Answers] = {}
         self._answers_by_features: dict[bytes, Answers] = {}
-        self._answers_bytes = 0
+        self._answers_bytes = self._lookups = 0
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the discovered options to a safetensors file, atomically: arrays and JSON, nothing that can run.
@@ -371,19 +358,6 @@ class OptionBank:
         """Refuse an unknown slot."""
         if not 0 <= slot < self.max_options:
             raise ValueError(f"slot must be between 0 and {self.max_options - 1}, got {slot}.")
-
-
-def _unknown(slots: Sequence[int], known: Sequence[Container[int]]) -> list[tuple[int, list[int]]]:
-    """Return the slots that are not known, each with its rows."""
-    rows: dict[int, list[int]] = {}
-    for row, (slot, of) in enumerate(zip(slots, known, strict=True)):
-        if slot not in of:
-            rows.setdefault(slot, []).append(row)
-    return list(rows.items())
-
-
-def _features(answers: Sequence[Answers]) -> FloatArray:
-    return np.concatenate([cast("FloatArray", each.features) for each in answers])
 
 
 def checked_actions(option: Option, actions: IntArray, n_primitive: int) -> IntArray:

@@ -65,7 +65,7 @@ KEEPS: list[Wrap] = [
 @pytest.mark.parametrize("callback", [PrimitiveStepsCallback, SubgoalDiscoveryCallback])
 def test_what_changes_steps_is_refused(wrap: Wrap, callback: Any) -> None:
     model = PPO("MlpPolicy", Named(wrap(counting())), n_steps=16, batch_size=16, gamma=0.9)
-    text = "above OptionsWrapper may change rewards, observations or the ends of episodes, .*: put it beneath"
+    text = "above OptionsWrapper may change rewards, observations or episode ends, .*: put it beneath"
     with pytest.raises(ValueError, match=text):
         model.learn(16, callback=callback())
 

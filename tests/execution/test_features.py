@@ -11,14 +11,13 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.concepts import ConceptsInObservation
-from sb3_options.execution.features import MAX_FEATURES, Features, flat_size, form_of, of_space, signature
+from sb3_options.execution.features import MAX_FEATURES, Features, flat_size, form_of, signature
 from tests.support.helpers import CountingEnv
 from tests.support.sb3_helpers import Corridor, places
 
 
 def resolve(env: gym.Env[Any, Any], feature_map: Any) -> Features | None:
-    own = env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None
-    return of_space(env.observation_space, feature_map, own)
+    return OptionsWrapper(env, feature_map=feature_map).features
 
 
 def env_with(space: Any) -> gym.Env[Any, Any]:

@@ -299,6 +299,22 @@ def test_options_that_are_put_into_the_bank_itself_count_at_once() -> None:
     assert venv.action_masks().tolist() == [[True, True, False]]
 
 
+@pytest.mark.parametrize("change", ["removed", "replaced"])
+def test_a_change_of_the_bank_itself_leaves_runs_alone(change: str) -> None:
+    venv = OptionsVecEnv(DummyVecEnv([lambda: CountingEnv(2)]), 1, gamma=GAMMA)
+    venv.bank.add(steady_option(1, max_duration=3), 0)
+    venv.reset()
+    venv.step(np.array([2]))
+    if change == "removed":
+        venv.bank.remove(0)
+    else:
+        venv.bank.add(steady_option(0, max_duration=9), 0)
+    venv.step(np.array([0]))
+    run = OptionRun.from_info(venv.step(np.array([0]))[-1][0])
+    assert run.actions is not None
+    assert (run.actions.tolist(), run.termination) == ([1, 1, 1], "max_duration")
+
+
 def test_options_are_not_asked_where_an_episode_ended() -> None:
     seen: list[float] = []
 

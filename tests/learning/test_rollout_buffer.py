@@ -161,6 +161,20 @@ def test_without_options_it_is_the_stock_buffer() -> None:
     np.testing.assert_allclose(ours.returns, stock.returns, rtol=0, atol=2e-6)
 
 
+def test_the_reward_of_a_single_step_is_normalised_where_the_step_reports_it() -> None:
+    buffer = OptionRolloutBuffer(2, Corridor().observation_space, Corridor().action_space, gamma=GAMMA)
+    normalizer = VecNormalize(DummyVecEnv([Corridor]), gamma=GAMMA)
+    normalizer.ret_rms.var = np.array(4.0)
+    for run in (
+        OptionRun(-1, 1, GAMMA, GAMMA, "primitive"),
+        OptionRun(-1, 1, GAMMA, GAMMA, "primitive", rewards=np.array([6.0])),
+    ):
+        reward = np.array([5.0], dtype=np.float32)
+        buffer.expect(reward, [run], normalizer)
+        buffer.add(np.zeros((1, 2)), np.zeros((1, 1)), reward, np.zeros(1), torch.zeros(1), torch.zeros(1))
+    np.testing.assert_allclose(buffer.rewards.ravel(), [5.0, 3.0], rtol=1e-6)
+
+
 def journey(env: CountingEnv, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
     """A user's own steps, whose actions take times of their own: 1 or 4 steps along a line of 8."""
     place, k = min(sum((1, 4)[taken] for taken in env.actions), 8), (1, 4)[action]

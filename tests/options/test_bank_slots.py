@@ -12,7 +12,7 @@ from sb3_options.density.regions import Region
 from sb3_options.embedding.encoders import ObservationForm
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.experience.observations import FloatArray, Observations, flatten
-from sb3_options.options.bank import OptionBank
+from sb3_options.options.bank import FEW, HITS, TRIAL, OptionBank
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.options.banks import (
@@ -103,23 +103,29 @@ class TestSlots:
             members = {slot: option.membership(coarse) for slot in bank.filled if (option := bank[slot])}
             actions = {slot: option.policy(coarse) for slot in bank.filled if (option := bank[slot])}
             for i, observation in enumerate(coarse):
-                np.testing.assert_array_equal(bank.available_in([observation])[0], expected[i])
-                answers = bank.answers_at(observation)
+                np.testing.assert_array_equal(bank.available_at(observation), expected[i])
                 for slot, (initiation, termination) in members.items():
-                    assert bank.membership(slot, observation, answers) == (initiation[i], termination[i])
-                    assert bank.may_start([slot], [observation], [answers]) == [initiation[i]]
-                    assert bank.action(slot, observation, answers) == actions[slot][i]
-            if members:
-                slots = [bank.filled[i % len(bank.filled)] for i in range(len(coarse))]
-                many = bank.answers(list(coarse))
-                bank.compute_memberships(slots, list(coarse), many)
-                bank.compute_actions(slots, list(coarse), many)
-                assert bank.may_start(slots, list(coarse), many) == [
-                    members[slot][0][i] for i, slot in enumerate(slots)
-                ]
-                for i, (slot, answers) in enumerate(zip(slots, many, strict=True)):
-                    assert answers.members[slot] == (members[slot][0][i], members[slot][1][i])
-                    assert answers.actions[slot] == actions[slot][i]
+                    assert bank.membership(slot, observation) == (initiation[i], termination[i])
+                    assert bank.may_start(slot, observation) == initiation[i]
+                    assert bank.action(slot, observation) == actions[slot][i]
+
+    def test_a_few_observations_are_looked_up_while_they_recur(self) -> None:
+        bank = filled_bank()
+        slot = bank.filled[0]
+        option = bank[slot]
+        assert option is not None
+        assert bank.looks_up(slot, option, FEW)
+        assert not bank.looks_up(slot, option, FEW + 1)
+        assert not bank.looks_up(slot, dataclasses.replace(option), 1), "the bank holds another one"  # type: ignore[type-var]  # a SubgoalOption
+        for observation in OBSERVATIONS[:TRIAL]:
+            bank.action(slot, observation)
+        assert not bank.looks_up(slot, option, 1)
+        for _ in range(HITS):
+            for observation in OBSERVATIONS[:TRIAL]:
+                bank.action(slot, observation)
+        assert bank.looks_up(slot, option, 1)
+        bank.add(steady_option())
+        assert not bank.looks_up(slot, option, 1), "a hand-made option may have a memory"
 
     def test_answers_follow_a_map_that_is_learned_anew(self) -> None:
         learned, other = (LearnedMap(ObservationForm("vector", (SIZE,)), seed) for seed in (0, 5))
@@ -129,9 +135,10 @@ class TestSlots:
         policy = TabularPolicy(np.zeros((1, SIZE)), np.zeros((1, N_PRIMITIVE)))
         bank = empty_bank(feature_map=learned, feature_size=None)
         bank.add(SubgoalOption(Region(there + 9.0, scales, 0.5), Region(there, scales, 0.5), policy), 0)
-        assert bank.membership(0, here, bank.answers_at(here))[0]
+        assert bank.may_start(0, here)
         learned.load(other.arrays())
-        assert not bank.membership(0, here, bank.answers_at(here))[0]
+        assert not bank.may_start(0, here)
+        assert not bank.membership(0, here)[0]
         assert not bank.available_slots(here[None]).any()
 
     def test_answers_to_observations_with_many_features_take_no_more_memory(self) -> None:
@@ -141,7 +148,7 @@ class TestSlots:
         scales, policy = np.ones(4000), TabularPolicy(np.zeros((1, 1)), np.zeros((1, N_PRIMITIVE)))
         bank.add(SubgoalOption(Region(np.eye(4000)[:1], scales, 0.5), Region(np.eye(4000)[1:3], scales, 0.5), policy))
         for number in range(600):
-            assert bank.available_in([np.array(number)]).tolist() == [[number in (1, 2)]]
+            assert bank.available_at(np.array(number)).tolist() == [number in (1, 2)]
         assert len(bank._answers) < 300
 
     def test_a_subclass_answers_for_itself(self) -> None:
@@ -152,9 +159,7 @@ class TestSlots:
         bank = empty_bank()
         one = table()
         bank.add(Ends(one.subgoal, one.initiation_set, one.option_policy), 0)
-        answers = bank.answers(list(OBSERVATIONS[:50]))
-        members = [bank.membership(0, at, each) for at, each in zip(OBSERVATIONS, answers, strict=False)]
-        assert members == [(True, 1.0)] * 50
+        assert {bank.membership(0, observation) for observation in OBSERVATIONS[:50]} == {(True, 1.0)}
 
     def test_available(self) -> None:
         bank = filled_bank()
