@@ -6,8 +6,10 @@ goes on where it was. Needs the extra ``minigrid``.
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 
 import tyro
 from rich.table import Table
@@ -33,6 +35,7 @@ class Study(Flags):
             frames are used up.
         until: Likewise the last stage, once every environment has had time for the longest episode.
         judged: Policies that play fresh episodes in the end: as sampled, the likeliest actions, or a uniform choice.
+        tuned: File that ``experiments.minigrid.tune`` wrote, with settings for each agent.
     """
 
     runs: int = 8
@@ -41,6 +44,7 @@ class Study(Flags):
     learned: float | None = None
     until: float | None = None
     judged: tuple[Judged, ...] = JUDGED
+    tuned: Path | None = None
 
 
 def main(study: Study) -> None:
@@ -53,9 +57,13 @@ def main(study: Study) -> None:
             raise SystemExit(f"--{name} must be a share of episodes in (0, 1], got {share:g}.")
     protocol = Protocol(study.learned, study.until, study.judged)
     out = study.out / study.family
+    tuned = {} if study.tuned is None else json.loads(study.tuned.read_text(encoding="utf-8"))["tuned"]
+    special = {arm: settings.of(arm, study.family) for arm in study.arms}
+    for arm in tuned.keys() & special.keys():
+        special[arm] |= {"tuned": tuned[arm]["settings"]}
     parts = [
-        Part(arm, partial(run, study.family, arm, protocol), out / folder_of(arm), settings.of(arm, study.family))
-        for arm in study.arms
+        Part(arm, partial(run, study.family, arm, protocol, tuned=of.get("tuned")), out / folder_of(arm), of)
+        for arm, of in special.items()
     ]
     used = {
         "stages": FAMILIES[study.family],
@@ -71,9 +79,10 @@ def main(study: Study) -> None:
     command += "" if study.learned is None else f"--learned {study.learned:g} "
     command += "" if study.until is None else f"--until {study.until:g} "
     command += "" if study.judged == JUDGED else f"--judged {' '.join(study.judged)} "
+    command += "" if study.tuned is None else f"--tuned {study.tuned} "
     command += f"--first-seed {study.first_seed} --arms {' '.join(map(repr, study.arms))}"
-    special = {arm: of for arm in study.arms if (of := settings.of(arm, study.family))}
-    content = {"command": command, **used, "special": special, "summary": summary, "runs": results}
+    content = {"command": command, **used, "special": {arm: of for arm, of in special.items() if of}}
+    content |= {"summary": summary, "runs": results}
     write(study.out, content, {"minigrid": draw(study.family, results)}, dpi=110)
     show(_table(summary), f"Results: {study.out / 'results.json'}, {study.out / 'minigrid.png'}")
 

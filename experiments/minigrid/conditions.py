@@ -18,7 +18,7 @@ from experiments.minigrid import settings
 from experiments.minigrid.agents import Chooser, Notes, learned, model_of, normalised, success_rate, uniform, venv_of
 from experiments.minigrid.hand_made import MadeBy, options_on, to_subgoals_on
 from experiments.minigrid.random_grouped import RandomGrouped
-from experiments.minigrid.settings import FAMILIES, WITH_OPTIONS, ZOO_ARM, Arm, Stage, zoo_settings
+from experiments.minigrid.settings import FAMILIES, WITH_OPTIONS, ZOO_ARM, Arm, Stage, Tuned, zoo_settings
 from sb3_options.callbacks import (
     DiscoveredOption,
     IntrinsicRewardCallback,
@@ -63,7 +63,7 @@ class Protocol:
     judged: Sequence[Judged] = JUDGED
 
 
-def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
+def run(family: str, arm: Arm, protocol: Protocol, seed: int, *, tuned: Tuned | None = None) -> Result:
     """Train once through the stages.
 
     Args:
@@ -71,6 +71,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
         arm: Which agent.
         protocol: When stages end, and what is judged.
         seed: Of model, environments and discovery.
+        tuned: Settings that replace the study's.
 
     Returns:
         ``stages``: of each the ``curve`` of training success by primitive steps of the stage, ``option_runs`` by name
@@ -79,6 +80,8 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
         them and the primitives; ``options``: the discovered ones.
     """
     env_seed = seed * SEEDS_APART
+    ppo = settings.tuned_of(arm, tuned)
+    weight = ppo.pop("weight", None)
     model: Any = None
     result: Result = {"seed": seed, "stages": [], "options": []}
     slots = settings.max_options(family) if arm in WITH_OPTIONS else 0
@@ -102,7 +105,7 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             if arm == ZOO_ARM:
                 venv = before = normalised(venv, before)
             if model is None:
-                model = model_of(arm, venv, env_seed, zoo_settings(family) if arm == ZOO_ARM else settings.PPO)
+                model = model_of(arm, venv, env_seed, zoo_settings(family) if arm == ZOO_ARM else ppo)
             else:
                 model.set_env(venv)
             longest = n_envs * venv.get_attr("unwrapped", [0])[0].max_steps
@@ -112,7 +115,9 @@ def run(family: str, arm: Arm, protocol: Protocol, seed: int) -> Result:
             began, worked = time.perf_counter(), time.process_time()
             if number == 0 and arm in settings.PROPOSED:
                 groups, walked = _proposed(venv, env_seed)
-            callbacks = callbacks_of(arm, seed, number, groups, is_last=is_last, primitive_rollouts=rollouts)
+            callbacks = callbacks_of(
+                arm, seed, number, groups, is_last=is_last, primitive_rollouts=rollouts, weight=weight
+            )
             model.learn(stage.frames, callback=[*callbacks, notes])
             taken = {"seconds": time.perf_counter() - began, "processor_seconds": time.process_time() - worked}
             runs = {name: dict(ends) for name, ends in notes.runs.items()}
@@ -157,6 +162,7 @@ def callbacks_of(
     *,
     is_last: bool,
     primitive_rollouts: bool,
+    weight: float | None = None,
 ) -> list[BaseCallback]:
     """Callbacks of an agent in one stage: discovery, options by hand, the bonus."""
     callbacks: list[BaseCallback] = []
@@ -177,7 +183,7 @@ def callbacks_of(
     over = (stage and arm in settings.BONUS_AT_FIRST) or (is_last and arm in settings.BONUS_BEFORE_LAST)
     if arm in settings.BONUS and not over:
         kind = settings.BONUS[arm]
-        callbacks.append(IntrinsicRewardCallback(kind, weight=settings.WEIGHTS[kind], seed=seed))
+        callbacks.append(IntrinsicRewardCallback(kind, weight=weight or settings.WEIGHTS[kind], seed=seed))
     return callbacks
 
 

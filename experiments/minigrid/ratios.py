@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,9 +91,10 @@ PAIRED = {
     "proposed": FEATURES,
     "bonuses": {"four rooms": "four-rooms", "key corridors": "key-corridor"},
     "twenty": {"four rooms": "four-rooms"},
+    "tuned": {"four rooms": "four-rooms"},
 }
-"""Tasks where agents see φ beside the observation, options have proposed groups, rivals have other bonuses, or seeds
-are twenty, and the files of these agents, by the ending of their names."""
+"""Tasks where agents see φ beside the observation, options have proposed groups, rivals have other bonuses, seeds are
+twenty, or every agent's settings were tuned, and the files of these agents, by the ending of their names."""
 
 REACHING = {
     **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},
@@ -148,10 +150,7 @@ def main(of: Ratios) -> None:
         "capped": capped_table,
         "ratios": table,
         "fresh": fresh_table,
-        "features": lambda results: paired_table(results, "features", "discovered, "),
-        "proposed": lambda results: paired_table(results, "proposed", "proposed"),
-        "bonuses": lambda results: paired_table(results, "bonuses", "discovered, "),
-        "twenty": lambda results: paired_table(results, "twenty", "discovered, "),
+        **{ending: partial(paired_table, ending=ending) for ending in PAIRED},
         "reach": reach_table,
     }
     fill(of.document, {name: draw_up(of.results) for name, draw_up in parts.items()})
@@ -251,9 +250,9 @@ def fresh_table(results: Path) -> str:
     return "\n".join(rows)
 
 
-def paired_table(results: Path, ending: str, prefix: str) -> str:
-    """Frames of the agent whose name has the prefix, as a share of those of other agents, of equal seeds."""
-    what = "proposed groups" if ending == "proposed" else "options"
+def paired_table(results: Path, ending: str) -> str:
+    """Frames of the agent with options, or with proposed groups, as a share of those of others, of equal seeds."""
+    what, prefix = ("proposed groups", "proposed") if ending == "proposed" else ("options", "discovered, ")
     rows = [
         f"| | arrive | frames | frames with {what}, of these | Pr(faster) | processor seconds |",
         "|---" * 6 + "|",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, get_args
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 from sb3_options.learning.novelty import NoveltyKind
 
@@ -150,6 +151,8 @@ ZOO_OF_TASK: dict[str, dict[str, Any]] = {"MiniGrid-FourRooms-v0": {"n_steps": 5
 WEIGHTS: dict[NoveltyKind, float] = {"rnd": 0.1, "noveld": 0.1, "e3b": 0.1}
 """Of the bonuses; 0.1 is the default of `IntrinsicRewardCallback`."""
 
+Tuned: TypeAlias = Mapping[str, Any]
+"""PPO's settings, and the ``weight`` of the bonus, of one agent; those that are missing are the study's."""
 
 WALKS, LONGEST_WALK = 40, 400
 """Random walks in the first task from which groups are proposed, and primitive steps of each at most."""
@@ -196,6 +199,11 @@ def primitive_rollouts(stage: Stage) -> bool:
 def zoo_settings(family: str) -> dict[str, Any]:
     """Those of rl-zoo3 for the last task of a family."""
     return {**ZOO, **ZOO_OF_TASK.get(FAMILIES[family][-1].env_id, {})}
+
+
+def tuned_of(arm: Arm, tuned: Tuned | None = None) -> dict[str, Any]:
+    """PPO's settings, and the ``weight`` of the bonus if there is one, with those that were tuned."""
+    return PPO | ({"weight": WEIGHTS[BONUS[arm]]} if arm in BONUS else {}) | dict(tuned or {})
 
 
 def of(arm: Arm, family: str) -> dict[str, Any]:

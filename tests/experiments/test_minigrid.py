@@ -1,3 +1,4 @@
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -5,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.minigrid import agents, ratios, settings
+from experiments.minigrid import agents, ratios, settings, tune
 from experiments.minigrid.__main__ import Study, main
 from experiments.minigrid.hand_made import options_on
 from experiments.minigrid.ratios import ratio_of_medians
@@ -20,7 +21,8 @@ EACH_KIND: tuple[Arm, ...] = (
 )  # fmt: skip
 
 
-def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def small_family(monkeypatch: pytest.MonkeyPatch) -> None:
     stages = Stage("MiniGrid-Empty-5x5-v0", 128), Stage("MiniGrid-MultiRoom-N2-S4-v0", 128)
     monkeypatch.setitem(FAMILIES, "small", stages)
     for name in ("N_ENVS", "ZOO_N_ENVS", "EPISODES"):
@@ -28,6 +30,10 @@ def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.Mo
     for of, name, value in ((settings.PPO, "batch_size", 64), (settings.ZOO, "n_epochs", 1)):
         monkeypatch.setitem(of, "n_steps", 64)
         monkeypatch.setitem(of, name, value)
+
+
+@pytest.mark.usefixtures("small_family")
+def test_study_writes_results_and_picture(tmp_path: Path) -> None:
     main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1, family="small", arms=EACH_KIND))
     written = json.loads((tmp_path / "results.json").read_text())
     assert set(written["summary"]["arms"]) == set(EACH_KIND)
@@ -37,6 +43,31 @@ def test_study_writes_results_and_picture(tmp_path: Path, monkeypatch: pytest.Mo
     }
     assert set(written["special"]) == set(EACH_KIND) - {"stock, curriculum", "stock"}
     assert (tmp_path / "minigrid.png").stat().st_size > 5_000
+
+
+@pytest.mark.usefixtures("small_family")
+def test_settings_are_tuned_for_each_agent_and_used_by_the_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tune, "SPACE", {name: tune.SPACE[name] for name in ("learning_rate", "clip_range")})
+    arms: tuple[Arm, ...] = ("stock, E3B", "discovered, RND at first")
+    tune.main(tune.Tuning(out=tmp_path, family="small", arms=arms, trials=2, first_seed=3, seeds=1, jobs=1))
+    tuned = json.loads((tmp_path / "tuned.json").read_text())["tuned"]
+    assert set(tuned) == set(arms)
+    assert all(set(of["settings"]) == {"learning_rate", "clip_range", "weight"} for of in tuned.values())
+    runs = sorted((tmp_path / "stock_E3B").glob("*/seeds/3.json"))
+    tried = [json.loads(path.read_text())["settings"] for path in runs]
+    assert tried[0] == {"learning_rate": 1e-3, "clip_range": 0.2, "weight": 0.1}
+    assert len(tried) == 2
+
+    arm = arms[0]
+    out = tmp_path / "study"
+    study = Study(out=out, runs=1, first_seed=3, jobs=1, family="small", arms=(arm,), judged=(), until=tune.REACHED)
+    main(dataclasses.replace(study, learned=tune.LEARNED, tuned=tmp_path / "tuned.json"))
+    written = json.loads((out / "results.json").read_text())
+    assert written["special"][arm]["tuned"] == tuned[arm]["settings"]
+    best = json.loads(runs[tuned[arm]["trial"]].read_text())["result"]
+    assert written["runs"][arm][0]["stages"][-1]["curve"] == best["stages"][-1]["curve"]
 
 
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")

@@ -142,11 +142,10 @@ class TestSlots:
         assert not bank.available_slots(here[None]).any()
 
     def test_answers_to_observations_with_many_features_take_no_more_memory(self) -> None:
-        bank = OptionBank(
-            N_PRIMITIVE, 1, feature_map=lambda observations: np.eye(4000)[np.asarray(observations).ravel()]
-        )
+        codes = np.eye(4000)
+        bank = OptionBank(N_PRIMITIVE, 1, feature_map=lambda observations: codes[np.asarray(observations).ravel()])
         scales, policy = np.ones(4000), TabularPolicy(np.zeros((1, 1)), np.zeros((1, N_PRIMITIVE)))
-        bank.add(SubgoalOption(Region(np.eye(4000)[:1], scales, 0.5), Region(np.eye(4000)[1:3], scales, 0.5), policy))
+        bank.add(SubgoalOption(Region(codes[:1], scales, 0.5), Region(codes[1:3], scales, 0.5), policy))
         for number in range(600):
             assert bank.available_at(np.array(number)).tolist() == [number in (1, 2)]
         assert len(bank._answers) < 300
