@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -146,7 +146,7 @@ class Ratios:
 
 def main(of: Ratios) -> None:
     """Read, fill in and draw."""
-    parts = {
+    parts: dict[str, Callable[[Path], str]] = {
         "capped": capped_table,
         "ratios": table,
         "fresh": fresh_table,
