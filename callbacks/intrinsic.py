@@ -71,7 +71,8 @@ class IntrinsicRewardCallback(BaseCallback):
         self.seed = seed
         self.novelty: Novelty | None = None
         self.scale: ReturnScale | None = None
-        self._sums: list[list[float]] = []
+        self._steps: list[Steps | None] = []  # of each environment, of the present rollout
+        self._runs: list[OptionRun | None] = []
         self._bonus_weight = 0.0
 
     def _on_training_start(self) -> None:
@@ -121,64 +122,69 @@ class IntrinsicRewardCallback(BaseCallback):
         return np.asarray(self.training_env.env_method("concept_features", observations, indices=[0])[0])
 
     def _on_rollout_start(self) -> None:
-        self._sums.clear()
+        self._steps, self._runs = [], []
         normalizer = self.model.get_vec_normalize_env()
         self._original = None if normalizer is None else normalizer.get_original_obs()
 
     def _on_step(self) -> bool:
-        assert self.novelty is not None  # made when training started
-        assert self.scale is not None  # too
         runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
-        steps = self._steps(runs)
-        if steps is None:  # all environments wait for their options to end
-            self._sums.append([0.0] * len(runs))
-            return True
-        ends = np.searchsorted(steps.envs, np.arange(1, len(runs)))
-        bonuses = np.split(self.novelty.bonuses(steps), ends)  # of primitive steps, (k,) each
-        self._sums.append([_discounted(run, of_run) for run, of_run in zip(runs, bonuses, strict=True)])
-        self.scale.update(bonuses)
-        self._bonus_weight = self.weight / self.scale.std
-        self.logger.record_mean("intrinsic/bonus", self._bonus_weight * float(np.mean(np.concatenate(bonuses))))
-        self.logger.record("intrinsic/return_std", self.scale.std)
-        for name, value in self.novelty.records().items():
-            self.logger.record(f"intrinsic/{name}", value)
+        self._runs += runs
+        self._steps += self._primitive_steps(runs)
         return True
 
     def _on_rollout_end(self) -> None:
+        sums = self._visited()
         buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
-        add_bonuses(buffer, self._bonus_weight * np.array(self._sums))
+        add_bonuses(buffer, self._bonus_weight * np.array(sums).reshape(-1, buffer.n_envs))
 
-    def _steps(self, runs: list[OptionRun | None]) -> Steps | None:
-        """Return the primitive steps of all environments; None if there are none."""
-        parts = []
+    def _on_training_end(self) -> None:
+        if self._steps:
+            self._visited()  # of a rollout that was cut off
+
+    def _visited(self) -> list[float]:
+        """Learn from the steps since the last call, and return Σ γⁱ bᵢ of each run."""
+        assert self.novelty is not None  # made when training started
+        assert self.scale is not None  # too
+        lengths = [0 if steps is None else len(steps.envs) for steps in self._steps]
+        known = [steps for steps in self._steps if steps is not None]
+        bonuses: FloatArray = np.zeros(0)
+        if known:  # else all environments wait for their options to end
+            steps = Steps.joined(known)
+            bonuses = self.novelty.bonuses(steps)
+            self.scale.update([bonuses[steps.envs == env] for env in range(self.training_env.num_envs)])
+            self._bonus_weight = self.weight / self.scale.std
+            self.logger.record_mean("intrinsic/bonus", self._bonus_weight * float(np.mean(bonuses)))
+            self.logger.record("intrinsic/return_std", self.scale.std)
+            for name, value in self.novelty.records().items():
+                self.logger.record(f"intrinsic/{name}", value)
+        of_runs = np.split(bonuses, np.cumsum(lengths)[:-1])
+        sums = [_discounted(run, of_run) for run, of_run in zip(self._runs, of_runs, strict=True)]
+        self._steps, self._runs = [], []
+        return sums
+
+    def _primitive_steps(self, runs: list[OptionRun | None]) -> list[Steps | None]:
+        """Return the primitive steps of each environment; None if there are none."""
+        found: list[Steps | None] = []
         self._begins |= self.model._last_episode_starts
         departed_from, arrived_in = self._observations()
         for env, run in enumerate(runs):
             info = self.locals["infos"][env]
             if info.get("lost") or (run is not None and run.termination == "running"):
-                continue  # it was no step, or it goes on and is reported when it ends
-            here = slice(env, env + 1)
+                found.append(None)  # it was no step, or it goes on and is reported when it ends
+                continue
+            here = [env]  # copies, because an environment may write into its last observations
             before, after = obs_batch.take(departed_from, here), obs_batch.take(arrived_in, here)
             if self.locals["dones"][env] and info.get("terminal_observation") is not None:
-                last = obs_batch.batch_of_one(info["terminal_observation"])
+                last = obs_batch.batch_of_one(obs_batch.copy_of(info["terminal_observation"]))
                 after = as_wrapper_sees(self.training_env, last, normalized=True)
             if run is not None and run.observations is not None:
                 before = run.observations
                 after = obs_batch.concatenate([obs_batch.take(before, slice(1, None)), after])
             actions = self.locals["actions"][here] if run is None or run.actions is None else run.actions
-            parts.append((before, actions, after, [env] * len(actions), np.arange(len(actions)) < self._begins[env]))
+            n = np.arange(len(actions))
+            found.append(Steps(before, actions, after, np.full(len(n), env), n < self._begins[env]))
             self._begins[env] = False
-        if not parts:
-            return None
-        befores, acted, afters, envs, begins = zip(*parts, strict=True)
-        concatenate = obs_batch.concatenate
-        return Steps(
-            concatenate(befores),
-            np.concatenate(acted),
-            concatenate(afters),
-            np.concatenate(envs),
-            np.concatenate(begins),
-        )
+        return found
 
     def _observations(self) -> tuple[Any, Any]:
         """Return the observations before and after the last step of all environments, as these gave them."""

@@ -1,5 +1,7 @@
 """Novelty of observations over the whole training: state counts, random network distillation, and their scale."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from functools import partial
@@ -22,7 +24,9 @@ from sb3_options.experience.observations import (
     IntArray,
     Observations,
     batch_size,
+    concatenate,
     flatten,
+    take,
 )
 
 NoveltyKind: TypeAlias = Literal["counts", "rnd", "noveld", "e3b"]
@@ -42,7 +46,7 @@ BATCH = 64  # networks take a gradient step each time this many observations wer
 
 
 class Steps(NamedTuple):
-    """Primitive steps of all environments, those of one environment after those of another, each in order of time.
+    """Primitive steps of several environments, those of each in order of time.
 
     Attributes:
         before: Observations acted in, (n, ...).
@@ -57,6 +61,17 @@ class Steps(NamedTuple):
     after: Observations
     envs: IntArray
     begins: BoolArray
+
+    @classmethod
+    def joined(cls, parts: Sequence[Steps]) -> Steps:
+        """Return all steps, one part after the other."""
+        before, actions, after, envs, begins = zip(*parts, strict=True)
+        flags = map(np.concatenate, (actions, envs, begins))
+        return cls(concatenate(before), next(flags), concatenate(after), *flags)
+
+    def part(self, rows: slice) -> Steps:
+        """Return some of the steps."""
+        return Steps(*(take(column, rows) for column in self))
 
 
 class StateCounts:
@@ -132,6 +147,15 @@ class NetworkNovelty:
         scaled = (rows - self.statistics.mean) / np.sqrt(self.statistics.var + SMALLEST)
         return torch.as_tensor(np.clip(scaled, -CLIP, CLIP), dtype=torch.float32)
 
+    def bonuses(self, steps: Steps) -> FloatArray:
+        """Return the bonus of each primitive step, (n,), and learn from `BATCH` steps at a time."""
+        parts = [steps.part(slice(first, first + BATCH)) for first in range(0, len(steps.envs), BATCH)]
+        return np.concatenate(list(map(self.bonuses_of, parts)))
+
+    def bonuses_of(self, steps: Steps) -> FloatArray:
+        """Return the bonuses of a few steps before the networks learn from them."""
+        raise NotImplementedError
+
     def learn(self, *visited: torch.Tensor) -> None:
         """Take a gradient step on `BATCH` visited observations, once there are as many; keep them until then."""
         self._visited.append(visited)
@@ -165,7 +189,7 @@ class RandomNetworkDistillation(NetworkNovelty):
             self.predictor = network(size, N_FEATURES, n_hidden=2)
         super().__init__(size, self.predictor)
 
-    def bonuses(self, steps: Steps) -> FloatArray:
+    def bonuses_of(self, steps: Steps) -> FloatArray:
         """Return `visit` of the observations arrived in."""
         return self.visit(steps.after)
 
