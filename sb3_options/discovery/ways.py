@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from sb3_options.experience.observations import FloatArray, IntArray
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 NEAR = 5.0
 """A way is near a place within this many radii. It leads through the place within one radius."""
@@ -65,37 +65,48 @@ class PassingShare:
     def __init__(self, radius: float) -> None:
         self._limits = np.array([[NEAR * radius], [radius]])
         self._ways: dict[int, FloatArray] = {}  # by id
-        self._counts: dict[int, IntArray] = {}  # at the states of each way: ways near, ways through, (2, k)
+        self._states: FloatArray = np.zeros((0, 0))  # of all ways, in their order
+        self._counts: IntArray = np.zeros((2, 0), dtype=np.int64)  # at each state: ways near, ways through
 
     def update(self, ways: Sequence[FloatArray]) -> FloatArray:
         """Return the shares among these ways. Only ways added or removed since the last call are counted."""
-        current = set(map(id, ways))
-        for key in [key for key in self._ways if key not in current]:
-            gone = self._ways.pop(key)
-            del self._counts[key]
-            if self._ways:
-                self._count(gone, -1)
-        for way in ways:
-            if id(way) not in self._ways:
-                self._ways[id(way)] = way
-                self._count(way, 1)
-        near, through = np.concatenate([self._counts[id(way)] for way in ways], axis=1)
+        current = {id(way): way for way in ways}
+        gone = [way for key, way in self._ways.items() if key not in current]
+        if gone:
+            stays = np.repeat([key in current for key in self._ways], list(map(len, self._ways.values())))
+            self._ways = {key: way for key, way in self._ways.items() if key in current}
+            self._states, self._counts = self._states[stays], self._counts[:, stays]
+            for way in gone if self._ways else ():
+                self._counts -= self._leads_by(way)[0]
+        for key, way in current.items():
+            if key not in self._ways:
+                self._add(key, way)
+        near, through = self._counts
         shares: FloatArray = through / (near + 1.0)
-        return shares
+        if list(self._ways) == list(current):
+            return shares
+        ends = np.cumsum(list(map(len, self._ways.values())))
+        of_way = dict(zip(self._ways, np.split(shares, ends[:-1]), strict=True))
+        return np.concatenate([of_way[key] for key in current])
 
-    def _count(self, way: FloatArray, sign: int) -> None:
-        """Add a way to the counts of all other ways and count all ways at its own states; or remove it."""
-        together = np.concatenate(list(self._ways.values()))
+    def _add(self, key: int, way: FloatArray) -> None:
+        """Add a way to the counts of all other ways, and count all ways at its own states."""
+        n = len(self._states)
+        self._ways[key] = way
+        self._states = np.concatenate([self._states, way]) if n else way
+        leads, own = self._leads_by(way)
+        self._counts = np.concatenate([self._counts + leads[:, :n], own], axis=1)
+
+    def _leads_by(self, way: FloatArray) -> tuple[BoolArray, IntArray]:
+        """Return which states a way is near and leads through, (2, n), and how many ways do so at its own, (2, k)."""
         starts = np.cumsum([0, *map(len, self._ways.values())])[:-1]
-        at_once = max(AT_ONCE // max(together.shape), 1)
-        nearest = np.full(len(together), np.inf)
+        at_once = max(AT_ONCE // max(self._states.shape), 1)
+        nearest = np.full(len(self._states), np.inf)
         own = np.zeros((2, len(way)), dtype=np.int64)
         for first in range(0, len(way), at_once):
             part = slice(first, first + at_once)
-            distances = cdist(way[part], together)
+            distances = cdist(way[part], self._states)
             np.minimum(nearest, distances.min(axis=0), out=nearest)
             by_way = np.minimum.reduceat(distances, starts, axis=1)
             own[:, part] = (by_way <= self._limits[..., None]).sum(axis=2)
-        leads = np.split(nearest <= self._limits, starts[1:], axis=1)
-        for key, at_its_states in zip(self._ways, leads, strict=True):
-            self._counts[key] = own if self._ways[key] is way else self._counts[key] + sign * at_its_states
+        return nearest <= self._limits, own
