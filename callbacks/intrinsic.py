@@ -19,7 +19,7 @@ from sb3_options.experience.observations import FloatArray, Observations
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import novelty
 from sb3_options.learning.episodic_novelty import EllipticalBonus, NovelD
-from sb3_options.learning.novelty import NoveltyKind, RandomNetworkDistillation, ReturnScale, StateCounts, Steps
+from sb3_options.learning.novelty import BATCH, NoveltyKind, RandomNetworkDistillation, ReturnScale, StateCounts, Steps
 from sb3_options.learning.rollout_buffer import add_bonuses
 
 Novelty: TypeAlias = StateCounts | RandomNetworkDistillation | EllipticalBonus
@@ -71,8 +71,10 @@ class IntrinsicRewardCallback(BaseCallback):
         self.seed = seed
         self.novelty: Novelty | None = None
         self.scale: ReturnScale | None = None
-        self._steps: list[Steps | None] = []  # of each environment, of the present rollout
-        self._runs: list[OptionRun | None] = []
+        self._steps: list[Steps | None] = []  # of each environment, without a bonus yet
+        self._n_steps = 0  # primitive ones
+        self._runs: list[OptionRun | None] = []  # the same steps as the environments reported them
+        self._sums: list[float] = []  # of every step of the rollout
         self._bonus_weight = 0.0
 
     def _on_training_start(self) -> None:
@@ -122,29 +124,35 @@ class IntrinsicRewardCallback(BaseCallback):
         return np.asarray(self.training_env.env_method("concept_features", observations, indices=[0])[0])
 
     def _on_rollout_start(self) -> None:
-        self._steps, self._runs = [], []
+        self._visit()  # steps of a rollout that an error ended
+        self._sums.clear()
         normalizer = self.model.get_vec_normalize_env()
         self._original = None if normalizer is None else normalizer.get_original_obs()
 
     def _on_step(self) -> bool:
         runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
+        assert self.novelty is not None  # made when training started
         self._runs += runs
         self._steps += self._primitive_steps(runs)
+        self._n_steps += sum(len(steps.envs) for steps in self._steps[-len(runs) :] if steps is not None)
+        if self._n_steps + self.novelty.waiting >= BATCH:
+            self._visit()
         return True
 
     def _on_rollout_end(self) -> None:
-        sums = self._visited()
+        self._visit()
         buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
-        add_bonuses(buffer, self._bonus_weight * np.array(sums).reshape(-1, buffer.n_envs))
+        add_bonuses(buffer, self._bonus_weight * np.array(self._sums).reshape(-1, buffer.n_envs))
 
     def _on_training_end(self) -> None:
-        if self._steps:
-            self._visited()  # of a rollout that was cut off
+        self._visit()  # of a rollout that was cut off
 
-    def _visited(self) -> list[float]:
-        """Learn from the steps since the last call, and return Σ γⁱ bᵢ of each run."""
+    def _visit(self) -> None:
+        """Learn from the steps since the last call, and keep Σ γⁱ bᵢ of each run."""
         assert self.novelty is not None  # made when training started
         assert self.scale is not None  # too
+        if not self._steps:
+            return
         lengths = [0 if steps is None else len(steps.envs) for steps in self._steps]
         known = [steps for steps in self._steps if steps is not None]
         bonuses: FloatArray = np.zeros(0)
@@ -158,9 +166,8 @@ class IntrinsicRewardCallback(BaseCallback):
             for name, value in self.novelty.records().items():
                 self.logger.record(f"intrinsic/{name}", value)
         of_runs = np.split(bonuses, np.cumsum(lengths)[:-1])
-        sums = [_discounted(run, of_run) for run, of_run in zip(self._runs, of_runs, strict=True)]
-        self._steps, self._runs = [], []
-        return sums
+        self._sums += [_discounted(run, of_run) for run, of_run in zip(self._runs, of_runs, strict=True)]
+        self._steps, self._runs, self._n_steps = [], [], 0
 
     def _primitive_steps(self, runs: list[OptionRun | None]) -> list[Steps | None]:
         """Return the primitive steps of each environment; None if there are none."""

@@ -57,10 +57,13 @@ def main(study: Study) -> None:
             raise SystemExit(f"--{name} must be a share of episodes in (0, 1], got {share:g}.")
     protocol = Protocol(study.learned, study.until, study.judged)
     out = study.out / study.family
-    tuned = {} if study.tuned is None else json.loads(study.tuned.read_text(encoding="utf-8"))["tuned"]
     special = {arm: settings.of(arm, study.family) for arm in study.arms}
-    for arm in tuned.keys() & special.keys():
-        special[arm] |= {"tuned": tuned[arm]["settings"]}
+    if study.tuned is not None:
+        tuned = json.loads(study.tuned.read_text(encoding="utf-8"))
+        if tuned["family"] != study.family or not tuned["tuned"].keys() >= special.keys():
+            raise SystemExit(f"--tuned: {study.tuned} has no settings for these agents in {study.family}.")
+        for arm, of in special.items():
+            of["tuned"] = tuned["tuned"][arm]["settings"]
     parts = [
         Part(arm, partial(run, study.family, arm, protocol, tuned=of.get("tuned")), out / folder_of(arm), of)
         for arm, of in special.items()

@@ -71,6 +71,7 @@ def main(tuning: Tuning) -> None:
     told = f"--trials {tuning.trials} --first-seed {tuning.first_seed} --seeds {tuning.seeds}"
     arms = " ".join(map(repr, tuning.arms))
     content: dict[str, Any] = {
+        "family": tuning.family,
         "command": f"python -m experiments.minigrid.tune --family {tuning.family} {told} --arms {arms}",
         "tuned": {arm: best_for(tuning, arm) for arm in tuning.arms},
     }
@@ -91,19 +92,17 @@ def best_for(tuning: Tuning, arm: Arm) -> dict[str, Any]:
         shown=lambda score: f"{math.exp(score):,.0f} frames",
     )
     study = opened(search)
+    defaults = {
+        name: json.dumps(value) if isinstance(space[name], CategoricalDistribution) else value
+        for name, value in settings.tuned_of(arm).items()
+        if name in space
+    }
     if not study.trials:
-        study.enqueue_trial(
-            {
-                name: json.dumps(value) if isinstance(space[name], CategoricalDistribution) else value
-                for name, value in settings.tuned_of(arm).items()
-                if name in space
-            }
-        )
+        study.enqueue_trial(defaults)
     work(study, search, Console(highlight=False, soft_wrap=True))
     _, best = best_of(study, search)
-    defaults = study.get_trials()[0].value
-    assert defaults is not None  # it was not pruned
-    frames = {"frames": math.exp(study.best_value), "frames_of_defaults": math.exp(defaults)}
+    of_defaults = next(trial.value for trial in study.trials if trial.params == defaults and trial.value is not None)
+    frames = {"frames": math.exp(study.best_value), "frames_of_defaults": math.exp(of_defaults)}
     return {"settings": best, "trial": study.best_trial.number, **frames}
 
 

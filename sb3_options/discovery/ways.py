@@ -83,11 +83,11 @@ class PassingShare:
                 self._add(key, way)
         near, through = self._counts
         shares: FloatArray = through / (near + 1.0)
-        if list(self._ways) == list(current):
+        if list(self._ways) == list(map(id, ways)):
             return shares
         ends = np.cumsum(list(map(len, self._ways.values())))
         of_way = dict(zip(self._ways, np.split(shares, ends[:-1]), strict=True))
-        return np.concatenate([of_way[key] for key in current])
+        return np.concatenate([of_way[id(way)] for way in ways])
 
     def _add(self, key: int, way: FloatArray) -> None:
         """Add a way to the counts of all other ways, and count all ways at its own states."""

@@ -32,7 +32,7 @@ class NovelD(RandomNetworkDistillation):
         super().__init__(size, seed)
         self.seen: dict[int, set[bytes]] = {}  # observations of the present episode, by environment
 
-    def bonuses_of(self, steps: Steps) -> FloatArray:
+    def bonuses(self, steps: Steps) -> FloatArray:
         """Return the bonus of each primitive step, (n,), and learn from it."""
         left, arrived = flatten(steps.before), flatten(steps.after)
         self.statistics.update(arrived)
@@ -71,7 +71,7 @@ class EllipticalBonus(NetworkNovelty):
         super().__init__(size, nn.ModuleList([self.encoder, self.inverse_dynamics]))
         self.inverses: dict[int, FloatArray] = {}  # C⁻¹ of the present episode, by environment
 
-    def bonuses_of(self, steps: Steps) -> FloatArray:
+    def bonuses(self, steps: Steps) -> FloatArray:
         """Return the bonus of each primitive step, (n,), and learn from it."""
         rows = flatten(steps.after)
         self.statistics.update(rows)

@@ -26,7 +26,6 @@ from sb3_options.experience.observations import (
     batch_size,
     concatenate,
     flatten,
-    take,
 )
 
 NoveltyKind: TypeAlias = Literal["counts", "rnd", "noveld", "e3b"]
@@ -69,10 +68,6 @@ class Steps(NamedTuple):
         flags = map(np.concatenate, (actions, envs, begins))
         return cls(concatenate(before), next(flags), concatenate(after), *flags)
 
-    def part(self, rows: slice) -> Steps:
-        """Return some of the steps."""
-        return Steps(*(take(column, rows) for column in self))
-
 
 class StateCounts:
     """Counts visits N(s), of all environments together, and gives 1 / √N(s) (Strehl & Littman 2008; MBIE-EB).
@@ -82,6 +77,8 @@ class StateCounts:
     """
 
     STATE = ("visits",)
+
+    waiting = 0  # it learns at once
 
     def __init__(self, features: FeatureMap, widths: float | FloatArray = 1.0) -> None:
         self.features = features
@@ -147,19 +144,15 @@ class NetworkNovelty:
         scaled = (rows - self.statistics.mean) / np.sqrt(self.statistics.var + SMALLEST)
         return torch.as_tensor(np.clip(scaled, -CLIP, CLIP), dtype=torch.float32)
 
-    def bonuses(self, steps: Steps) -> FloatArray:
-        """Return the bonus of each primitive step, (n,), and learn from `BATCH` steps at a time."""
-        parts = [steps.part(slice(first, first + BATCH)) for first in range(0, len(steps.envs), BATCH)]
-        return np.concatenate(list(map(self.bonuses_of, parts)))
-
-    def bonuses_of(self, steps: Steps) -> FloatArray:
-        """Return the bonuses of a few steps before the networks learn from them."""
-        raise NotImplementedError
+    @property
+    def waiting(self) -> int:
+        """Visited observations that the networks have yet to learn from."""
+        return sum(len(first) for first, *_ in self._visited)
 
     def learn(self, *visited: torch.Tensor) -> None:
         """Take a gradient step on `BATCH` visited observations, once there are as many; keep them until then."""
         self._visited.append(visited)
-        if sum(len(first) for first, *_ in self._visited) < BATCH:
+        if self.waiting < BATCH:
             return
         loss = self.loss_of(*map(torch.cat, zip(*self._visited, strict=True)))
         self._visited.clear()
@@ -189,7 +182,7 @@ class RandomNetworkDistillation(NetworkNovelty):
             self.predictor = network(size, N_FEATURES, n_hidden=2)
         super().__init__(size, self.predictor)
 
-    def bonuses_of(self, steps: Steps) -> FloatArray:
+    def bonuses(self, steps: Steps) -> FloatArray:
         """Return `visit` of the observations arrived in."""
         return self.visit(steps.after)
 

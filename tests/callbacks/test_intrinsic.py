@@ -19,8 +19,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from sb3_options import OptionDQN, OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback
 from sb3_options.experience.observations import flatten
+from sb3_options.learning import novelty
 from sb3_options.learning.episodic_novelty import keys_of
-from sb3_options.learning.novelty import NoveltyKind, StateCounts, Steps, bin_widths
+from sb3_options.learning.novelty import NoveltyKind, RandomNetworkDistillation, StateCounts, Steps, bin_widths
 from tests.learning.test_replay_buffer import optioned, place_in
 from tests.learning.test_rollout_buffer import GAMMA, LAMBDA, make
 from tests.support.helpers import steady_option
@@ -132,6 +133,8 @@ def test_advantages_are_those_of_rewards_with_the_bonus(algorithm: Any, options:
 class Seen:
     """Stands in for novelty, and keeps the primitive steps that it is asked about."""
 
+    waiting = 0
+
     def __init__(self) -> None:
         self.steps: list[Any] = []
 
@@ -166,6 +169,28 @@ def test_novelty_is_asked_about_each_primitive_step(options: bool, normalized: b
         ]
         assert [step for step in seen.steps if step[0] == i] == expected
         assert sum(begins) > 3
+
+
+def test_networks_learn_as_often_whatever_the_length_of_a_rollout() -> None:
+    bonus = IntrinsicRewardCallback("rnd")
+    make(PPO, Corridor(), n_steps=63, batch_size=63).learn(4 * 63, callback=bonus)
+    assert isinstance(bonus.novelty, RandomNetworkDistillation)
+    (moments, *_) = bonus.novelty._optimizer.state.values()
+    assert (int(moments["step"]), bonus.novelty.waiting) == divmod(4 * 63, novelty.BATCH)
+
+
+def test_steps_before_an_error_count() -> None:
+    class Fails(BaseCallback):
+        def _on_step(self) -> bool:
+            if self.n_calls == 100:
+                raise KeyboardInterrupt
+            return True
+
+    bonus, model = IntrinsicRewardCallback(), make(PPO, Corridor(), n_steps=64, batch_size=64)
+    with pytest.raises(KeyboardInterrupt):
+        model.learn(640, callback=[bonus, Fails()])
+    model.learn(64, callback=bonus)
+    assert sum(visits_of(bonus).values()) == 164
 
 
 def key(observation: Any) -> bytes:
