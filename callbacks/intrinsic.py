@@ -23,6 +23,8 @@ from sb3_options.learning.novelty import BATCH, NoveltyKind, RandomNetworkDistil
 from sb3_options.learning.rollout_buffer import add_bonuses
 
 Novelty: TypeAlias = StateCounts | RandomNetworkDistillation | EllipticalBonus
+Taken: TypeAlias = tuple[OptionRun | None, Steps | None]
+"""What an environment reported, if it has options, and its primitive steps, if there are any."""
 
 
 class IntrinsicRewardCallback(BaseCallback):
@@ -71,10 +73,8 @@ class IntrinsicRewardCallback(BaseCallback):
         self.seed = seed
         self.novelty: Novelty | None = None
         self.scale: ReturnScale | None = None
-        self._steps: list[Steps | None] = []  # of each environment, without a bonus yet
-        self._n_steps = 0  # primitive ones
-        self._runs: list[OptionRun | None] = []  # the same steps as the environments reported them
-        self._sums: list[float] = []  # of every step of the rollout
+        self._pending: list[Taken] = []  # what each environment did, without a bonus yet
+        self._sums: list[float] = []  # Σ γⁱ bᵢ of what it did before in the rollout
         self._bonus_weight = 0.0
 
     def _on_training_start(self) -> None:
@@ -130,12 +130,10 @@ class IntrinsicRewardCallback(BaseCallback):
         self._original = None if normalizer is None else normalizer.get_original_obs()
 
     def _on_step(self) -> bool:
-        runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
         assert self.novelty is not None  # made when training started
-        self._runs += runs
-        self._steps += self._primitive_steps(runs)
-        self._n_steps += sum(len(steps.envs) for steps in self._steps[-len(runs) :] if steps is not None)
-        if self._n_steps + self.novelty.waiting >= BATCH:
+        runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
+        self._pending += zip(runs, self._primitive_steps(runs), strict=True)
+        if sum(map(_length, self._pending)) + self.novelty.waiting >= BATCH:
             self._visit()
         return True
 
@@ -148,13 +146,10 @@ class IntrinsicRewardCallback(BaseCallback):
         self._visit()  # of a rollout that was cut off
 
     def _visit(self) -> None:
-        """Learn from the steps since the last call, and keep Σ γⁱ bᵢ of each run."""
+        """Give the pending steps their bonuses, and learn from them."""
         assert self.novelty is not None  # made when training started
         assert self.scale is not None  # too
-        if not self._steps:
-            return
-        lengths = [0 if steps is None else len(steps.envs) for steps in self._steps]
-        known = [steps for steps in self._steps if steps is not None]
+        known = [steps for _, steps in self._pending if steps is not None]
         bonuses: FloatArray = np.zeros(0)
         if known:  # else all environments wait for their options to end
             steps = Steps.joined(known)
@@ -165,9 +160,10 @@ class IntrinsicRewardCallback(BaseCallback):
             self.logger.record("intrinsic/return_std", self.scale.std)
             for name, value in self.novelty.records().items():
                 self.logger.record(f"intrinsic/{name}", value)
-        of_runs = np.split(bonuses, np.cumsum(lengths)[:-1])
-        self._sums += [_discounted(run, of_run) for run, of_run in zip(self._runs, of_runs, strict=True)]
-        self._steps, self._runs, self._n_steps = [], [], 0
+        ends = np.cumsum(list(map(_length, self._pending)), dtype=np.int64)
+        for (run, _), of_run in zip(self._pending, np.split(bonuses, ends), strict=False):  # the last part is empty
+            self._sums.append(_discounted(run, of_run))
+        self._pending.clear()
 
     def _primitive_steps(self, runs: list[OptionRun | None]) -> list[Steps | None]:
         """Return the primitive steps of each environment; None if there are none."""
@@ -203,6 +199,11 @@ class IntrinsicRewardCallback(BaseCallback):
         # The originals: normalisation may have clipped the others, and its statistics have changed.
         before, self._original = self._original, normalizer.get_original_obs()
         return as_wrapper_sees(normalizer.venv, before), as_wrapper_sees(normalizer.venv, self._original)
+
+
+def _length(taken: Taken) -> int:
+    steps = taken[1]
+    return 0 if steps is None else len(steps.envs)
 
 
 def _discounted(run: OptionRun | None, bonuses: FloatArray) -> float:
