@@ -60,7 +60,7 @@ class Tuning(Machines):
 
     out: Path
     family: str = "MultiRoom-4"
-    arms: tuple[Arm, ...] = ("stock, curriculum", "stock, E3B", "discovered, RND at first")
+    arms: tuple[Arm, ...] = ("stock, curriculum", "stock, E3B", "stock, RND at first", "discovered, RND at first")
     trials: int = 20
     first_seed: int = 100
     seeds: int = 3

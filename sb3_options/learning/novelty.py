@@ -65,8 +65,8 @@ class Steps(NamedTuple):
     def joined(cls, parts: Sequence[Steps]) -> Steps:
         """Return all steps, one part after the other."""
         before, actions, after, envs, begins = zip(*parts, strict=True)
-        flags = map(np.concatenate, (actions, envs, begins))
-        return cls(concatenate(before), next(flags), concatenate(after), *flags)
+        joined = np.concatenate
+        return cls(concatenate(before), joined(actions), concatenate(after), joined(envs), joined(begins))
 
 
 class StateCounts:

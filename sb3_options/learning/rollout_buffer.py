@@ -155,24 +155,9 @@ class SMDPAdvantages(RolloutBuffer):
                 "SubgoalDiscoveryCallback() to learn()."
             )
         (given, runs, normalizer), self._expected = self._expected, None
-        if self._choices or not all(map(self._is_plain_step, runs)):
-            args = self._over_options(given, runs, normalizer, args, kwargs)
-        super().add(*args, **kwargs)
-
-    def _is_plain_step(self, run: OptionRun) -> bool:
-        """Whether SB3 itself stores a row correctly: then `reset` has filled in its duration and discount."""
-        one_step = run.duration == 1 and run.discount == self.gamma
-        return one_step and run.termination == "primitive" and run.rewards is None
-
-    def _over_options(
-        self,
-        given: FloatArray,
-        runs: Sequence[OptionRun],
-        normalizer: VecNormalize | None,
-        args: tuple[Any, ...],
-        kwargs: dict[str, Any],
-    ) -> tuple[Any, ...]:
-        """Store durations and discounts of a row; return what SB3 shall store, and change ``kwargs`` likewise."""
+        if not self._choices and all(map(self._is_plain_step, runs)):
+            super().add(*args, **kwargs)
+            return
         durations = np.array([run.duration for run in runs], dtype=np.float64)
         discounts = np.array([run.discount for run in runs], dtype=np.float64)
         self._learned_from[self.pos] = [run.termination != "running" for run in runs]
@@ -187,7 +172,12 @@ class SMDPAdvantages(RolloutBuffer):
         rewards = normalized_rewards(given, runs, normalizer) + bootstrap * discounts / self.gamma
         self.durations[self.pos] = durations
         self.discounts[self.pos] = discounts
-        return observations, actions, rewards, starts, values, log_probs, *others
+        super().add(observations, actions, rewards, starts, values, log_probs, *others, **kwargs)
+
+    def _is_plain_step(self, run: OptionRun) -> bool:
+        """Whether SB3 itself stores a row correctly: then `reset` has filled in its duration and discount."""
+        one_step = run.duration == 1 and run.discount == self.gamma
+        return one_step and run.termination == "primitive" and run.rewards is None
 
     def _swap_choices(
         self,

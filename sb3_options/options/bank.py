@@ -28,8 +28,9 @@ from sb3_options.options.file import MAX_SLOTS, OptionsFile, SpaceSignature, che
 from sb3_options.options.option import CACHE_BYTES, KnownFeatures, KnownResults, Option, SubgoalOption
 from sb3_options.options.sealed import errors_of
 
-FEW, TRIAL, HITS = 8, 500, 4
-"""Few observations are looked up one by one if after a trial each new one was asked for at least so many times."""
+FEW = 8  # most observations that are looked up one by one, where observations recur
+TRIAL = 500  # new observations before it is judged whether they recur
+HITS = 4  # they recur if they were asked for more often than this, on average
 
 ANSWERS_BYTES = 600
 """Memory of `Answers` and their entries, besides the observation and its features; approximate."""
@@ -150,7 +151,7 @@ class OptionBank:
 
     def available_slots(self, observations: Observations) -> BoolArray:
         """Return which options may start in each observation, shape (batch, max_options)."""
-        if self.by_data:
+        if self._is_by_data():
             return self._known(self._computed_slots, observations).copy()
         return self._computed_slots(observations)
 
@@ -158,7 +159,7 @@ class OptionBank:
         """`available_slots` of single observations, each looked up for itself."""
         if len(observations) == 1:
             return np.array([self.available_at(observations[0])])
-        if not self.by_data:
+        if not self._is_by_data():
             return self._computed_slots(stack(list(observations)))
         answers = list(map(self._answers_at, observations))
         new = [each for each in answers if each.available is None]
@@ -170,7 +171,7 @@ class OptionBank:
 
     def available_at(self, observation: Any) -> BoolArray:
         """Return which options may start in one observation, shape (max_options,). Not to be changed."""
-        if not self.by_data:
+        if not self._is_by_data():
             return np.asarray(self._computed_slots(batch_of_one(observation))[0])
         answers = self._answers_at(observation)
         if answers.available is None:
@@ -183,7 +184,7 @@ class OptionBank:
 
     def may_start(self, slot: int, observation: Any) -> bool:
         """Return whether one observation lies in I of the option in a slot."""
-        if self.by_data:
+        if self._is_by_data():
             return bool(self.available_at(observation)[slot])
         return bool(cast("Option", self._slots[slot]).initiation(batch_of_one(observation))[0])
 
@@ -214,10 +215,10 @@ class OptionBank:
         """Return whether n observations are quicker looked up one by one than asked of a slot's option in a batch."""
         new = len(self._answers)
         recur = new < TRIAL or self._lookups > HITS * new
-        return n <= FEW and self.by_data and recur and self._slots[slot] is option
+        return n <= FEW and self._is_by_data() and recur and self._slots[slot] is option
 
     def _answers_at(self, observation: Any) -> Answers:
-        if not self.by_data:
+        if not self._is_by_data():
             return Answers()
         self._lookups += 1
         key = key_of(observation)
@@ -257,8 +258,7 @@ class OptionBank:
         """Whether an option consists of data and acts on the bank's φ."""
         return isinstance(option, SubgoalOption) and option.known_features is self._shared is not None
 
-    @property
-    def by_data(self) -> bool:
+    def _is_by_data(self) -> bool:
         """Whether all options are made of data only, so that results may be kept: a hand-made one may have a memory."""
         if self._by_data and cast("KnownFeatures", self._shared).scale is not self._scale:
             self._forget_results()  # the feature map was learned anew
@@ -276,7 +276,8 @@ class OptionBank:
     def _forget_answers(self) -> None:
         self._answers: dict[bytes, Answers] = {}
         self._answers_by_features: dict[bytes, Answers] = {}
-        self._answers_bytes = self._lookups = 0
+        self._answers_bytes = 0
+        self._lookups = 0
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the discovered options to a safetensors file, atomically: arrays and JSON, nothing that can run.
