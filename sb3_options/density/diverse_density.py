@@ -33,39 +33,29 @@ POINT = Point("fixed")
 APART = 0.9
 """If successive instances lie at least this many widths apart, no other point ties with them."""
 
-TIED = 1e-9  # points tie if their log densities differ by less than this, in nats
-
-SMALLEST_BAGS = 3
-"""Number of positive bags whose instances a gradient search tries: more than one, because a filter may have removed
-the concept's own instance from a bag."""
-
-ASCENDING = 8
-ASCENT_STEPS = 12
-SORTING_STEPS = 3
-"""Points that ascend in a gradient search, maximum evaluations, and evaluations after which close points merge."""
-
-ARRIVED = 1e-5
-"""A gradient search ends when two successive steps gain less than this share of the log density, or of 1 nat."""
-
-SHORTLIST, SHORTLIST_PAIRS = 32, 1 << 20
-"""Points evaluated on all bags: the larger of this number and this many (instances × points)."""
-
-SAMPLED_BAGS, PROMISING = 3, 8
-"""The shortlist is chosen on this many bags of each sign, then one point in `PROMISING` on `PROMISING` times more."""
-
-FIRST_STEPS, SURVIVORS = 20, 4
-"""In a thorough search one start in `SURVIVORS` continues after every `FIRST_STEPS` evaluations."""
-
-FINAL_STEPS, TOLERANCE = 500, 1e-8
-"""Maximum evaluations of the finalists in each precision, and their tolerance, in nats relative to the value."""
-
 APART_BY = 0.5
 """A peak this close to a better one is merged into it, in parameters: for points, in widths."""
 
+TIED = 1e-9  # points tie if their log densities differ by less than this, in nats
 TINY = float(np.finfo(np.float64).tiny)
 
-TIES, SAME_PARAMETER = 1e-5, 1e-3
-"""Peaks tie if their losses are this close, relatively or in nats. Parameters this close do not order them."""
+SMALLEST_BAGS = 3  # positive bags whose instances a gradient search tries; a filter may take the concept out of one
+ASCENDING = 8  # points that ascend in a gradient search
+ASCENT_STEPS = 12  # its maximum evaluations
+SORTING_STEPS = 3  # its evaluations after which close points merge
+ARRIVED = 1e-5  # it ends when two successive steps gain less than this share of the log density, or of 1 nat
+
+SHORTLIST = 32  # points that it evaluates on all bags; more as long as instances × points are below `SHORTLIST_PAIRS`
+SHORTLIST_PAIRS = 1 << 20
+SAMPLED_BAGS = 3  # the shortlist is chosen on this many bags of each sign,
+PROMISING = 8  # then one point in this many on this many times more bags
+
+FIRST_STEPS = 20  # a thorough search thins out its starts after every so many evaluations,
+SURVIVORS = 4  # keeping one in this many
+FINAL_STEPS = 500  # maximum evaluations of the finalists in each precision
+TOLERANCE = 1e-8  # of the finalists, in nats relative to the value
+TIES = 1e-5  # peaks tie if their losses are this close, relatively or in nats
+SAME_PARAMETER = 1e-3  # parameters this close do not order them
 
 
 @storable

@@ -11,14 +11,10 @@ from torch import Tensor
 
 from sb3_options.density.layout import Segment
 
+# An energy is measured again if it is below the precision to this power, relative to the squares it comes from. In
+# double precision, larger energies have a relative rounding error below 1e-10.
 CLOSE = 1 / 3
-"""An energy is measured again if it is below the precision to this power, relative to the squares it comes from.
-
-In double precision, larger energies have a relative rounding error below 1e-10.
-"""
-
 CLOSE_PAIRS = 1 << 18  # numbers held at once while energies are measured again
-
 LOG2_E = math.log2(math.e)
 
 

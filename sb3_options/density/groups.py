@@ -12,8 +12,7 @@ import numpy as np
 from sb3_options.checked import Field, settings
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
 
-Number: TypeAlias = Annotated[int, Field(ge=0)]
-"""Index of a feature."""
+Number: TypeAlias = Annotated[int, Field(ge=0)]  # index of a feature
 
 
 @settings

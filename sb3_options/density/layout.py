@@ -18,8 +18,7 @@ from torch import Tensor
 
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray
 
-SEGMENT_INSTANCES = 1 << 17
-"""Maximum instances of a segment, unless one bag alone has more: 8 starts at once then fill `MAX_PAIRS`."""
+SEGMENT_INSTANCES = 1 << 17  # of a segment, unless one bag has more; 8 starts at once then fill `MAX_PAIRS`
 
 SHORTEST_WIDTH = 16  # smallest limit on row length: a place costs three calls, a row its share of the work on rows
 FEW_STARTS = 9  # below this, arrays are stored start by start: products with so few columns are slow

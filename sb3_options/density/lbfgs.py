@@ -9,9 +9,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-PAIRS = 6
-"""Curvature pairs kept."""
-
+PAIRS = 6  # curvature pairs kept
 SUFFICIENT = 1e-4  # Armijo's constant: required share of the decrease that the slope promises
 SHORTEN = 0.3  # factor for a step that did not decrease enough
 CURVED = 1e-8  # a pair with s·y below this times y·y tells nothing about curvature
@@ -146,10 +144,10 @@ class BatchedLBFGS:
         return ~(held_low | ((self.theta >= self._high) & (self._gradient < 0)))
 
 
+# For every place of the oldest pair, the order of s and then y by age, and its inverse.
 RINGS = [(torch.arange(PAIRS) + oldest) % PAIRS for oldest in range(PAIRS)]
 OLDEST_FIRST = [torch.cat([ring, ring + PAIRS]) for ring in RINGS]
 AS_STORED = [order.argsort() for order in OLDEST_FIRST]
-"""For every place of the oldest pair, the order of s and then y by age, and its inverse."""
 
 
 class CurvaturePairs:

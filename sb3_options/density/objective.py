@@ -38,8 +38,7 @@ from sb3_options.density.layout import Arrays, Segment, Workspace
 MAX_PAIRS = 1 << 20
 """Maximum (instances × starts) held at once, 4 MiB in single precision, unless one bag alone has more."""
 
-NEAR_NEGATIVE = 2.0**-20
-"""If the product of 1 − p over a row of negative instances is below this, `careful` computes its logarithm."""
+NEAR_NEGATIVE = 2.0**-20  # `careful` takes the logarithm of a smaller product of 1 − p over negative instances
 
 
 def evaluate(

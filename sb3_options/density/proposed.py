@@ -12,15 +12,11 @@ from sb3_options.density.groups import FeatureGroup
 PRESENT_SCALE = 10.0
 """Distance between present and absent, in scaled units: more than any radius."""
 
+# A thing without coordinates is context if it occurs in this share of the trajectories. An occurrence in every episode
+# is no bottleneck, but a policy may need to see it: a wall ahead, for instance.
 CONTEXT = 0.9
-"""A thing without coordinates is context if it occurs in this share of the trajectories. An occurrence in every episode
-is no bottleneck, but a policy may need to see it: a wall ahead, for instance."""
-
-ROUNDING = 1e-9
-"""Changes smaller than this share of a feature's largest value are rounding errors."""
-
-REPLACED = 0.25
-"""A thing takes the place of another if the other disappears in this share of its appearances."""
+ROUNDING = 1e-9  # changes smaller than this share of a feature's largest value are rounding errors
+REPLACED = 0.25  # a thing takes the place of another if that one disappears in this share of its appearances
 
 
 def propose_groups(trajectories: Sequence[FloatArray], names: Sequence[str] = ()) -> tuple[FeatureGroup, ...]:

@@ -13,8 +13,7 @@ from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.groups import FeatureGroup
 from sb3_options.state import storable
 
-MOST = 2.0**40
-"""Whole numbers below this one keep their distance when they are scaled, in spite of rounding."""
+MOST = 2.0**40  # whole numbers below this one keep their distance when they are scaled, in spite of rounding
 
 
 @cache

@@ -22,15 +22,10 @@ from sb3_options.state import storable
 @storable
 @dataclass(frozen=True, eq=False)
 class FilteredBags:
-    """The filtered bags of a database, oldest first.
+    """The filtered bags of a database, oldest first."""
 
-    Attributes:
-        positive: Instances (n_i, d) of each successful trajectory.
-        negative: Instances of each unsuccessful trajectory.
-    """
-
-    positive: list[FloatArray]
-    negative: list[FloatArray]
+    positive: list[FloatArray]  # instances (n_i, d) of each successful trajectory
+    negative: list[FloatArray]  # and of each unsuccessful one
 
     @cached_property
     def n_instances(self) -> int:

@@ -16,8 +16,7 @@ from sb3_options.experience.trajectories import LabelledTrajectory
 MIN_CONTRAST = 0.3
 """Least contrast of an instance."""
 
-MAX_START_SHARE = 0.5
-"""A state where more than this share of the trajectories begin is no place to reach."""
+MAX_START_SHARE = 0.5  # a state where more than this share of the trajectories begin is no place to reach
 
 PAIR_GAIN = 0.1
 """A state's contrast in a group must exceed its contrast in any part of the group by this much."""
@@ -25,11 +24,8 @@ PAIR_GAIN = 0.1
 NO_PLACE = -1.0
 """Contrast of a state that is not a place of the group. No place has less."""
 
-ABSENT = -2.0
-"""Contrast of an absent state: none of the current trajectories visited it."""
-
-MAX_FORMER_STATES = 1000
-"""Absent states are forgotten once they outnumber the present ones by more than this."""
+ABSENT = -2.0  # contrast of an absent state: none of the current trajectories visited it
+MAX_FORMER_STATES = 1000  # absent states are forgotten once they outnumber the present ones by more than this
 
 
 class Contrast:
@@ -141,20 +137,12 @@ def _reached(
 
 
 class _Visits(NamedTuple):
-    """The visits of a trajectory.
+    """The visits of a trajectory."""
 
-    Attributes:
-        numbers: Number of each state, (m,); -1 if it is not a place.
-        first: Number of the first state.
-        places: Distinct numbers of places, and the time of the first visit to each, (k, 2).
-        duration: Length of the trajectory, in steps.
-        success: Whether it succeeded.
-    """
-
-    numbers: IntArray
-    first: int
-    places: IntArray
-    duration: int
+    numbers: IntArray  # of its states, (m,); -1 for a state that is not a place
+    first: int  # number of the first state
+    places: IntArray  # distinct numbers of places, and the time of the first visit to each, (k, 2)
+    duration: int  # steps
     success: bool
 
 

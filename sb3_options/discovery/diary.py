@@ -21,35 +21,23 @@ SILENT_TRAJECTORIES = 20
 
 @dataclass
 class Diary:
-    """Counts trajectories and nominal seconds, and explains why discovery found nothing.
+    """Counts trajectories and nominal seconds, and explains why discovery found nothing."""
 
-    Attributes:
-        unit: Kind of trajectory: an ``episode``, or a ``segment`` of a continuing task.
-        max_share: Largest share of training time for discovery; None for any.
-        step_seconds: Nominal training seconds of a primitive step.
-        n: Trajectories seen.
-        spent: Nominal seconds of discovery.
-        skipped: Searches skipped because the budget was spent.
-        seconds: Measured processor seconds of discovery. No decision depends on them.
-        reported: Whether the environment reports success itself, in ``info["is_success"]``.
-        n_withdrawn: Subgoals for which no option could be learned.
-    """
-
-    unit: str = "episode"
-    max_share: float | None = field(default=None, metadata=TRANSIENT)
+    unit: str = "episode"  # or "segment", of a continuing task
+    max_share: float | None = field(default=None, metadata=TRANSIENT)  # of training time; None for any
     needs_success: bool = field(default=True, metadata=TRANSIENT)
-    step_seconds: float = field(default=STEP_SECONDS, metadata=TRANSIENT)
-    n: int = 0
+    step_seconds: float = field(default=STEP_SECONDS, metadata=TRANSIENT)  # nominal, of training
+    n: int = 0  # trajectories seen
     successes: int = 0
     terminated: int = 0
-    reported: bool = False
-    lowest: float = float("inf")
+    reported: bool = False  # whether the environment reports success itself, in ``info["is_success"]``
+    lowest: float = float("inf")  # return
     highest: float = float("-inf")
     steps: int = 0
-    spent: float = 0.0
-    skipped: int = 0
-    seconds: float = 0.0
-    n_withdrawn: int = 0
+    spent: float = 0.0  # nominal seconds of discovery
+    skipped: int = 0  # searches that the budget did not afford
+    seconds: float = 0.0  # measured processor seconds of discovery; no decision depends on them
+    n_withdrawn: int = 0  # subgoals for which no option could be learned
     n_unusable: int = 0
     last_error: str = ""
     without_option: set[str] = field(default_factory=set)

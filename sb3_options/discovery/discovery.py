@@ -25,8 +25,7 @@ from sb3_options.state import storable
 
 logger = logging.getLogger("sb3_options")
 
-MAX_BYTES = 1 << 30
-"""Memory limit of a database. With large observations it keeps fewer than `capacity` trajectories."""
+MAX_BYTES = 1 << 30  # of a database: with large observations it keeps fewer than `capacity` trajectories
 
 
 @storable
@@ -127,15 +126,12 @@ class Discovery:
         return self.filters.kind
 
     def add(self, trajectory: Trajectory, features: FloatArray, *, success: bool | None = None) -> LabelledTrajectory:
-        """Add a trajectory to the database.
+        """Add a trajectory to the database, and return it labelled.
 
         Args:
             trajectory: One episode.
             features: φ of its distinct observations, shape (m, d).
             success: Its label; by default the success rule decides.
-
-        Returns:
-            The labelled trajectory.
 
         Raises:
             ValueError: ``features`` do not fit the trajectory; features or rewards are not finite.
@@ -161,11 +157,7 @@ class Discovery:
         return labelled
 
     def search(self) -> Region | None:
-        """Let the method propose, if it is due and the budget affords it, and take a proposal.
-
-        Returns:
-            A new subgoal, which counts as taken from now on; None if there is none.
-        """
+        """Let the method propose, if it is due and the budget affords it. Return a new subgoal, now taken, or None."""
         if not (len(self.database) and self.method.is_due(self.database)):
             return None
         affords = self.diary.affords()

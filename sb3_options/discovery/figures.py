@@ -16,23 +16,12 @@ from sb3_options.experience.observations import FloatArray, IntArray, flatten
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import SubgoalOption
 
-PANEL_WIDTH = 6.4
-"""Width of a panel, in inches."""
-
-HEIGHTS = (3.4, 6.0)
-"""Lowest and highest panel height, in inches. Between them a panel has the shape of its map."""
-
-MARGIN = 0.75
-"""Free space around the outermost centres, in sides of a square."""
-
-TEXT_WIDTH = 80
-"""Characters of a line of text."""
-
-WORST_SHOWN = 60.0
-"""Log densities this far below the best, in nats, share the darkest colour, unless too few lie above."""
-
-SHARE_SHOWN = 0.25
-"""Minimum share of states with a brighter colour: without a leak most lie hundreds of nats below the best."""
+PANEL_WIDTH = 6.4  # inches
+HEIGHTS = (3.4, 6.0)  # lowest and highest panel, inches; between them a panel has the shape of its map
+MARGIN = 0.75  # free space around the outermost centres, in sides of a square
+TEXT_WIDTH = 80  # characters of a line
+WORST_SHOWN = 60.0  # nats; log densities this far below the best share the darkest colour, unless too few lie above
+SHARE_SHOWN = 0.25  # least share of brighter states: without a leak most lie hundreds of nats below the best
 
 START: dict[str, Any] = {"marker": "o", "markersize": 4, "color": "white", "markeredgecolor": "black"}
 GOAL: dict[str, Any] = {"marker": "D", "markersize": 8, "color": "white", "markeredgecolor": "black"}

@@ -21,22 +21,14 @@ class Way:
     """States of a trajectory in order: its loop-erased path, or all visited states.
 
     Each state occurs once: repeated states would count repeatedly in the noisy-or (McGovern & Barto 2001, §3).
-
-    Attributes:
-        labelled: The trajectory.
-        rows: Rows of its features, (k,).
-        states: The features of these rows, or a group's own features, (k, d).
-        scaled: The same in scaled units.
-        allowed: Which states pass the static filter, (k,).
-        far: Which states are far from all other subgoals, (k,); empty until computed.
     """
 
     labelled: LabelledTrajectory
-    rows: IntArray
-    states: FloatArray
-    scaled: FloatArray
-    allowed: BoolArray
-    far: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    rows: IntArray  # of its features, (k,)
+    states: FloatArray  # features of these rows, or a group's own features, (k, d)
+    scaled: FloatArray  # the same in scaled units
+    allowed: BoolArray  # which states pass the static filter, (k,)
+    far: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))  # from other subgoals; empty until computed
 
 
 @dataclass

@@ -5,17 +5,13 @@ import numpy as np
 from sb3_options.density.arrays import row_keys, short_key
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
-STEPS = 3
-"""The surroundings of a state are the states within this many steps."""
-
-MAX_STATES = 10_000
-"""Maximum number of states in the graph. Later states stay unknown."""
+STEPS = 3  # the surroundings of a state are the states within this many steps
+MAX_STATES = 10_000  # in the graph; later states stay unknown
 
 MIN_CUT = 0.1
 """Minimum share of its surroundings that an instance cuts off. A doorway cuts off a third or more, open floor none."""
 
-UNKNOWN = 0.5
-"""Share of an unknown state: it is assumed to split its surroundings in two."""
+UNKNOWN = 0.5  # share of an unknown state: it is assumed to split its surroundings in two
 
 
 class LocalCuts:
@@ -28,15 +24,12 @@ class LocalCuts:
 
     Two states are joined if a step led from one to the other, in either direction. A state visited by only one
     trajectory counts as a cut. So the filter has no effect where no state repeats, as in continuous spaces.
-
-    Attributes:
-        n_computed: Number of shares computed rather than looked up.
     """
 
     STATE = ("n_computed", "_number", "_neighbours", "_n_trajectories", "_shares")
 
     def __init__(self) -> None:
-        self.n_computed = 0
+        self.n_computed = 0  # shares that were computed rather than looked up
         self._number: dict[bytes, int] = {}
         self._neighbours: list[set[int]] = []
         # By number; the last entry is for states without a number.

@@ -12,8 +12,7 @@ from sb3_options.state import storable
 PEAK_RADIUS = 1.5
 """Peaks within this distance, in scaled units, touch. A peak belongs to the nearest concept within it."""
 
-MOST_TIED = 1000
-"""More tied peaks, or equally often visited places, than this are no subgoals."""
+MOST_TIED = 1000  # more tied peaks, or equally often visited places, are no subgoals
 
 
 def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> FloatArray:
@@ -31,17 +30,11 @@ def plateau_centres(points: FloatArray, scale: FloatArray, radius: float) -> Flo
 @storable
 @dataclass
 class TrackedConcept:
-    """A concept that was a peak at least once.
+    """A concept that was a peak at least once."""
 
-    Attributes:
-        point: Where the concept was last found, shape (d,).
-        average: c̄, in [0, λ/(1−λ)).
-        found: Whether the last search found it.
-    """
-
-    point: FloatArray
-    average: float
-    found: bool = False
+    point: FloatArray  # where it was last found, (d,)
+    average: float  # c̄, in [0, λ/(1−λ))
+    found: bool = False  # by the last search
 
 
 class PeakTracker:
@@ -54,8 +47,7 @@ class PeakTracker:
 
     STATE = ("concepts",)
 
-    FORGOTTEN = 1e-3
-    """A concept is dropped once its average decays below this, to keep the list short."""
+    FORGOTTEN = 1e-3  # a concept is dropped once its average decays below this, to keep the list short
 
     def __init__(self, *, decay: float = 0.9, radius: float = 1.0) -> None:
         self.decay = decay

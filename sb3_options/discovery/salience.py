@@ -12,8 +12,7 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.experience.observations import BoolArray, take
 from sb3_options.experience.trajectories import LabelledTrajectory, TrajectoryDatabase
 
-LEAST_TRAJECTORIES = 16
-"""Nothing is rare among fewer trajectories than this."""
+LEAST_TRAJECTORIES = 16  # nothing is rare among fewer
 
 
 class Salience:
@@ -71,9 +70,6 @@ class OutcomeDatabase(TrajectoryDatabase):
 
     If successes are few, the last trajectories overall hold hardly any. When the set of rare things changes,
     trajectories are labelled again (`Salience`).
-
-    Attributes:
-        n_entered: Successes that were added; after relabelling, failures that stand for a success count again.
     """
 
     STATE = ("_salience", "n_entered")
@@ -81,7 +77,7 @@ class OutcomeDatabase(TrajectoryDatabase):
     def __init__(self, capacity: int, max_bytes: float, salience: Salience) -> None:
         super().__init__(capacity, max_bytes)
         self._salience = salience
-        self.n_entered = 0
+        self.n_entered = 0  # successes added; after relabelling, failures that stand for a success count again
 
     def add(self, trajectory: LabelledTrajectory) -> None:
         """Append a trajectory, dropping the oldest of its kind if there are too many."""

@@ -81,19 +81,15 @@ class DiscoverySettings:
 CATEGORICAL_SCALE = 6.0
 """With it, one-hot codes of two states are 6√2 = 8.5 units apart, farther than any default radius."""
 
-
 SHOWN = 6
 """Number of coordinates shown of a point: enough for presence and position of two things."""
 
+UNITS_PER_RANGE = 20.0
+"""Unscaled features are assumed to have this many distinguishable values over the range seen so far."""
+
 
 def described(point: FloatArray, kind: str | None, group: FeatureGroup | None = None) -> str:
-    """Describe a point of concept space: the state behind a one-hot code, or the first `SHOWN` coordinates.
-
-    Args:
-        point: The group's own features, (k,), or without a group all features, (d,).
-        kind: Where φ comes from.
-        group: The features that count, if not all do.
-    """
+    """Describe a point, (d,), or (k,) of a group: the state behind a one-hot code, or the first `SHOWN` coordinates."""
     if group is not None:
         return group.told(point) or f"{group.name} at {described(point, None)}"
     if kind == "categorical":
@@ -101,20 +97,11 @@ def described(point: FloatArray, kind: str | None, group: FeatureGroup | None = 
     return ", ".join(f"{x:g}" for x in point[:SHOWN]) + (", …" if len(point) > SHOWN else "")
 
 
-UNITS_PER_RANGE = 20.0
-"""Unscaled features are assumed to have this many distinguishable values over the range seen so far."""
-
-
 def default_scale(kind: str | None, features: FloatArray) -> FloatArray:
-    """Return the scale that makes one unit of concept space one step, as far as it is known.
+    """Return the scale, (d,), that makes one unit of concept space one step, as far as all features (m, d) seen tell.
 
-    Args:
-        kind: Where φ comes from (`features.FeatureKind`). A user's φ and an environment's own are assumed to be in
-            such units already.
-        features: All features seen so far, shape (m, d).
-
-    Returns:
-        Factors of shape (d,), each 1, or `CATEGORICAL_SCALE`, or `UNITS_PER_RANGE` over the range of each feature.
+    It is `CATEGORICAL_SCALE`, or `UNITS_PER_RANGE` over the range of each feature, by where φ comes from
+    (`features.FeatureKind`). A user's φ and an environment's own are assumed to be in such units already.
     """
     d = features.shape[1]
     if kind == "categorical":

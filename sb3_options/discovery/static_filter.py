@@ -12,14 +12,10 @@ StaticFilter: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], BoolArr
 
 
 def near_start_and_goal(start_radius: float = 2.0, goal_radius: float = 2.0) -> StaticFilter:
-    """Make the default static filter: no subgoal near the trajectory's first or last state.
+    """Make the default static filter: no subgoal within a radius, in scaled units, of the first or the last state.
 
     The states around start and goal lie on every successful trajectory without being bottlenecks (McGovern & Barto
     2001, §4, after Iba 1989).
-
-    Args:
-        start_radius: Distance from the first state, in scaled units of concept space, ≥ 0.
-        goal_radius: The same for the last state.
     """
 
     def keep(features: FloatArray, start: FloatArray, end: FloatArray) -> BoolArray:

@@ -8,11 +8,8 @@ from scipy.spatial.distance import cdist
 
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
-NEAR = 5.0
-"""A way is near a place within this many radii. It leads through the place within one radius."""
-
-AT_ONCE = 1 << 20
-"""Maximum number of distances held at once."""
+NEAR = 5.0  # a way is near a place within this many radii, and leads through the place within one
+AT_ONCE = 1 << 20  # maximum number of distances held at once
 
 
 def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArray:
@@ -23,15 +20,10 @@ def loop_erased(features: FloatArray, visits: IntArray, radius: float) -> IntArr
     closes. Both leave a way from start to end.) A trajectory may end where it began, like a segment between two peaks
     of reward. It does not count as one loop: its last steps, within ``radius`` of its start, are left out.
 
-    Args:
-        features: φ of the distinct states in scaled units, shape (m, d).
-        visits: Row of ``features`` at every time t = 0 … T, shape (T + 1,).
-        radius: States within this distance count as the same, ≥ 0. In continuous spaces no state repeats exactly.
-
-    Returns:
-        Rows of ``features``, shape (k,), k ≤ m, each at most once. The first is ``visits[0]``. The last is within
-        ``radius`` of the trajectory's end. If the end is within ``radius`` of the start, it is within ``radius`` of the
-        last state before the return.
+    States within ``radius`` count as the same, because in continuous spaces no state repeats exactly. ``features`` are
+    φ of the distinct states in scaled units, (m, d), and ``visits`` their rows at every time t = 0 … T. Returns rows,
+    (k,), each at most once. The first is ``visits[0]``. The last is within ``radius`` of the trajectory's end, or of
+    the last state before its return to the start.
     """
     if np.linalg.norm(features[visits[-1]] - features[visits[0]]) <= radius:
         away = np.linalg.norm(features - features[visits[0]], axis=1) > radius

@@ -9,37 +9,20 @@ from torch import nn
 
 from sb3_options.experience.observations import Observations, flatten
 
-CLIP = 5.0
-"""Standardised observations are clipped to ± this (Burda et al. 2018, §2.4)."""
-
-SMALLEST = 1e-3
-"""Minimum standard deviation of a pixel, as a share of the largest: pixels that do not change become 0."""
-
-ROUNDING = 1e-6
-"""The same for other numbers, as a share of their mean: smaller changes are rounding errors."""
-
-MIN_IMAGE = 36
-"""Smallest side of an image in pixels that the convolutions of Mnih et al. (2015) accept."""
-
-HIDDEN = 64
-"""Units of hidden layers."""
-
-CHANNELS = (8, 16)
-"""Channels of the two convolutions, half as many as in Mnih et al. (2013): a map has little to tell apart."""
+CLIP = 5.0  # standardised observations are clipped to ± this (Burda et al. 2018, §2.4)
+SMALLEST = 1e-3  # least standard deviation of a pixel, as a share of the largest: constant pixels become 0
+ROUNDING = 1e-6  # the same for other numbers, as a share of their mean: smaller changes are rounding errors
+MIN_IMAGE = 36  # pixels; smallest side that the convolutions of Mnih et al. (2015) accept
+HIDDEN = 64  # units of hidden layers
+CHANNELS = (8, 16)  # of both convolutions, half as many as in Mnih et al. (2013): a map has little to tell apart
 
 
 class ObservationForm(NamedTuple):
-    """The form of observations, as an encoder needs it.
-
-    Attributes:
-        kind: ``table`` of numbered states, ``image``, or ``vector`` for everything else, flattened.
-        shape: (n,) states; (channels, height, width); (numbers,).
-        first: Number of the first state; for an image 1 if channels come last, else 0.
-    """
+    """The form of observations, as an encoder needs it: numbered states, an image, or anything else, flattened."""
 
     kind: Literal["table", "image", "vector"]
-    shape: tuple[int, ...]
-    first: int = 0
+    shape: tuple[int, ...]  # (n,) states; (channels, height, width); (numbers,)
+    first: int = 0  # number of the first state; for an image 1 if channels come last, else 0
 
 
 def form_of_array(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> ObservationForm:
@@ -69,10 +52,6 @@ class Encoder(nn.Module):
 
     Each number of an observation is standardised by the data seen before the first gradient step. Constant parts, such
     as walls in a picture, become 0, so the agent stands out however small it is.
-
-    Args:
-        form: Form of an observation.
-        size: Size of the output.
     """
 
     shift: torch.Tensor

@@ -11,26 +11,16 @@ from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor
 from sb3_options.embedding.settings import LEARNED, SIZE
 from sb3_options.experience.observations import FloatArray, Observations, batch_size
 
-BATCH = 512
-"""Maximum observations encoded at once, so that many images take little memory."""
-
+BATCH = 512  # maximum observations encoded at once, so that many images take little memory
+# Of features, in steps. So an observation nearly always has the same features in every batch, although the last bits of
+# matrix products depend on the batch size.
 DECIMALS = 3
-"""Features are rounded to thousandths of a step. So an observation nearly always has the same features in every batch,
-although the last bits of matrix products depend on the batch size."""
 
 
 class LearnedMap:
     """φ(x) = scale · encoder(x), where the scale makes one unit about one step.
 
     Before training it is a random network, and its distances have no meaning.
-
-    Args:
-        form: Form of observations.
-        seed: Seed of the initial weights.
-
-    Attributes:
-        learned: Number of completed trainings.
-        fixed: Whether it no longer changes, because it came with options that live in its space.
     """
 
     STATE = ("encoder", "scale", "learned", "fixed")
@@ -44,8 +34,8 @@ class LearnedMap:
             # Besides φ there is a potential c, which only training needs.
             self.encoder = Encoder(form, self.size + 1)
         self.scale = np.ones(self.size)
-        self.learned = 0
-        self.fixed = False
+        self.learned = 0  # completed trainings
+        self.fixed = False  # True once it no longer changes, because it came with options that live in its space
 
     def __call__(self, observations: Observations) -> FloatArray:
         """Return φ of a batch of observations, (batch, d); NaN if they are not finite in 32 bits."""

@@ -27,35 +27,21 @@ from sb3_options.experience.trajectories import Trajectory
 FIRST_TRAJECTORIES = 8
 """Trajectories before the first training of the map: eight random walks visit most of two rooms."""
 
-MOST_STEPS = 20_000
-"""Maximum number of steps whose median length becomes the unit."""
-
-STEPS_BETWEEN = 500
-"""Primitive steps between two pauses for learning."""
+MOST_STEPS = 20_000  # maximum number of steps whose median length becomes the unit
+STEPS_BETWEEN = 500  # primitive steps between two pauses for learning
 
 PAUSE_SECONDS = 0.4
 """Nominal seconds of gradient steps in such a pause: in all, less than a second per thousand primitive steps."""
 
-UPDATE_SECONDS, NUMBER_SECONDS = 1.5e-3, 8e-9
-"""Nominal seconds of a gradient step, and of each number in its observations, measured on one core."""
-
-SOFT = 1e-4
-"""Added under the root, whose slope at 0 is infinite. It exceeds the rounding of the matrix product."""
+UPDATE_SECONDS = 1.5e-3  # nominal seconds of a gradient step, measured on one core
+NUMBER_SECONDS = 8e-9  # and of each number in its observations
+SOFT = 1e-4  # added under the root, whose slope at 0 is infinite; exceeds the rounding of the matrix product
 
 
 class FeatureLearner:
     """Learns a `LearnedMap`, and scales it so that primitive steps that move have a median length of 1.
 
     Discovery measures radii, static filters and peaks in steps, so the learned space must do so too.
-
-    Args:
-        feature_map: The map to learn.
-        settings: Settings of learning.
-        seed: Seed of the random draws.
-
-    Attributes:
-        n_trajectories: Number of trajectories at the last training of the map; 0 before.
-        done: Gradient steps of the training in progress; 0 if there is none.
     """
 
     STATE = ("map", "n_trajectories", "done", "_encoder", "_optimizer", "_generator", "_goes_on_at")
@@ -66,8 +52,8 @@ class FeatureLearner:
         self._encoder = copy.deepcopy(feature_map.encoder)  # the map stays unchanged until this copy is trained
         self._generator = torch.Generator().manual_seed(seed)
         self._optimizer = torch.optim.Adam(self._encoder.parameters(), lr=settings.learning_rate)
-        self.n_trajectories = 0
-        self.done = 0
+        self.n_trajectories = 0  # at the last training of the map
+        self.done = 0  # gradient steps of the training in progress
         self._goes_on_at = 0  # primitive steps
 
     @property
@@ -122,7 +108,7 @@ class FeatureLearner:
                 f"{self.settings.learning_rate:g} (EmbeddingSettings)"
             )
         self.map.encoder.load_state_dict(self._encoder.state_dict())
-        self.map.scale = np.ones(self.map.size)
+        self.map.scale = np.ones(self.map.size)  # in which the length is measured
         self.map.scale /= self._step_length(replay, before, after)
         self.map.learned += 1
         return True

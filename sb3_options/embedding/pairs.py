@@ -14,15 +14,10 @@ MOST_BYTES = 32 << 20
 
 
 class Replay:
-    """The distinct observations of trajectories, and the order of their visits.
+    """The distinct observations of trajectories, or of a random part of them if they are larger than `MOST_BYTES`.
 
     An observation that occurs repeatedly in a batch is encoded once: in a gridworld, encoding takes most of the time of
     learning from images.
-
-    Args:
-        trajectories: The trajectories; a random part if they are larger than `MOST_BYTES`.
-        form: Form of their observations.
-        generator: Generator of the random part.
     """
 
     def __init__(self, trajectories: Iterable[Trajectory], form: ObservationForm, generator: torch.Generator) -> None:

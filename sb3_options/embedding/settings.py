@@ -4,14 +4,12 @@ from typing import Annotated, Literal, TypeAlias
 
 from sb3_options.checked import Field, settings
 
-MapName: TypeAlias = Literal["temporal-distance"]
-"""Names of feature maps that can be learned."""
+MapName: TypeAlias = Literal["temporal-distance"]  # feature maps that can be learned
 
 LEARNED: MapName = "temporal-distance"
 """Name of the learned feature map."""
 
-SIZE = 8
-"""Dimensions d of its concept space, enough for the distances of rooms."""
+SIZE = 8  # dimensions d of its concept space, enough for the distances of rooms
 
 
 @settings

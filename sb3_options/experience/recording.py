@@ -27,13 +27,10 @@ class TrajectoryRecorder:
     """Builds a `Trajectory` of each episode while it runs, in constant time per step.
 
     An episode of more than `LONGEST_EPISODE` steps is dropped with a warning.
-
-    Attributes:
-        finished: Complete trajectories, oldest first; whoever takes them clears the list.
     """
 
     def __init__(self) -> None:
-        self.finished: list[Trajectory] = []
+        self.finished: list[Trajectory] = []  # oldest first; whoever takes them clears the list
         self._forget()
         self._gave_up = False
 
@@ -134,9 +131,7 @@ class SegmentRecorder(TrajectoryRecorder):
     that rises over several steps has one peak, at its maximum. A reward that stays high has one peak, at its first
     step. A segment is finished one step after its last, because only then the reward is known not to rise further.
 
-    Args:
-        max_segment: A segment of this many primitive steps without a peak is cut, and failed: no more are held in
-            memory. At most `LONGEST_EPISODE`.
+    A segment of ``max_segment`` primitive steps without a peak is cut, and failed: no more are held in memory.
     """
 
     def __init__(self, max_segment: int) -> None:

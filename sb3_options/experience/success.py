@@ -112,10 +112,7 @@ def tell_success(
 
 
 def learned_at(reached: Sequence[bool] | npt.NDArray[np.bool_]) -> int | None:
-    """Return when a task counts as learned: the index of the first of two evaluations in a row that reach the goal.
-
-    Return None if there are no two.
-    """
+    """Return the index of the first of two evaluations in a row that reach the goal; None if it is not learned."""
     entries = np.asarray(reached, dtype=bool)
     first = np.flatnonzero(entries[:-1] & entries[1:])
     return int(first[0]) if len(first) else None

@@ -64,37 +64,23 @@ class Trajectory:
 
 @storable
 class EpisodeRecord(NamedTuple):
-    """One episode of training, or one segment of a continuing task, in primitive steps.
+    """One episode of training, or one segment of a continuing task, in primitive steps."""
 
-    Attributes:
-        timestep: Primitive steps taken, of all environments, when it ended.
-        total_reward: Undiscounted sum of rewards.
-        success: Success by the callback's rule.
-        steps: Length.
-    """
-
-    timestep: int
-    total_reward: float
-    success: bool
+    timestep: int  # primitive steps taken, of all environments, when it ended
+    total_reward: float  # undiscounted
+    success: bool  # by the callback's rule
     steps: int
 
 
 @storable
 @dataclass(frozen=True, eq=False)
 class LabelledTrajectory:
-    """A trajectory with its features and its label, as discovery needs them.
-
-    Attributes:
-        trajectory: The episode.
-        features: φ of ``trajectory.states``, shape (m, d).
-        success: Whether its bag is positive.
-        whole: The trajectory that it is a part of, if any; its arrays are views of that one's.
-    """
+    """A trajectory with its features and its label, as discovery needs them."""
 
     trajectory: Trajectory
-    features: FloatArray
-    success: bool
-    whole: LabelledTrajectory | None = None
+    features: FloatArray  # φ of ``trajectory.states``, (m, d)
+    success: bool  # whether its bag is positive
+    whole: LabelledTrajectory | None = None  # that it is a part of; its arrays are views of that one's
 
     @cached_property
     def n_bytes(self) -> int:
@@ -105,12 +91,7 @@ class LabelledTrajectory:
 class TrajectoryDatabase:
     """The last ``capacity`` trajectories, oldest first (McGovern & Barto 2001, Table 1).
 
-    Args:
-        capacity: Number of trajectories to keep, at least 1.
-        max_bytes: Memory limit of their arrays; the last trajectory is always kept.
-
-    Attributes:
-        n_successful: Number of successful trajectories.
+    Their arrays take at most ``max_bytes``, but the last trajectory is always kept. ``n_successful`` were successful.
     """
 
     STATE: ClassVar[tuple[str, ...]] = ("_trajectories",)

@@ -1,7 +1,6 @@
 """Places that were candidates often enough."""
 
 from abc import abstractmethod
-from typing import ClassVar
 
 import numpy as np
 
@@ -10,11 +9,9 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.methods.method import Experience, Method
 from sb3_options.experience.observations import FloatArray, IntArray
 
-MAX_PLACES, MAX_NUMBERS = 20_000, 8_000_000
-"""Limits on remembered places and on their features in total (64 MB). Later places are not counted."""
-
-PLACE_SECONDS = 2e-7
-"""Nominal time of an update, per remembered place."""
+MAX_PLACES = 20_000  # later ones are not counted
+MAX_NUMBERS = 8_000_000  # features of all places (64 MB)
+PLACE_SECONDS = 2e-7  # nominal time of an update, per remembered place
 
 
 class CandidateMethod(Method):
@@ -23,7 +20,7 @@ class CandidateMethod(Method):
     It counts for every place how often it was seen and how often it was a candidate.
     """
 
-    STATE: ClassVar[tuple[str, ...]] = ("_row", "_points", "_counts")
+    STATE = ("_row", "_points", "_counts")
 
     def __init__(self) -> None:
         self._row: dict[bytes, int] = {}  # row of each place, by its bin

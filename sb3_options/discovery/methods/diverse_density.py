@@ -1,7 +1,6 @@
 """Peaks of diverse density that persist (McGovern & Barto 2001, Table 1)."""
 
 from collections.abc import Sequence
-from typing import ClassVar
 
 import numpy as np
 
@@ -19,20 +18,11 @@ from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, TrajectoryDatabase
 
-WARM_STARTS = 4
-"""Number of peaks of the last search that the next search also starts from."""
-
-NOTHING_LEFT = 5
-"""Once subgoals are found and the filters leave nothing else, only one search in this many is made."""
-
-ASCENTS = 96
-"""Evaluations of all instances in a gradient search: 8 points ascend for 12 steps."""
-
-EXHAUSTIVE_SHARE = 0.25
-"""Cost of an evaluation without a gradient, as a share of one with a gradient."""
-
-PEAK_TOLERANCE = 1e-3
-"""Peaks this close to the best log density, in nats, tie with it: ascents are no more exact."""
+WARM_STARTS = 4  # peaks of the last search that the next search also starts from
+NOTHING_LEFT = 5  # once the filters leave nothing besides the subgoals found, one search in this many is made
+ASCENTS = 96  # evaluations of all instances in a gradient search: 8 points ascend for 12 steps
+EXHAUSTIVE_SHARE = 0.25  # cost of an evaluation without a gradient, as a share of one with a gradient
+PEAK_TOLERANCE = 1e-3  # nats; peaks this close to the best log density tie with it: ascents are no more exact
 
 REMEDIES = {
     "radii": "is far from start and goal. Lower start_radius, goal_radius (--discovery.start-radius, .goal-radius).",
@@ -47,38 +37,21 @@ REMEDIES = {
 class PersistentPeaks(Method):
     """Searches the bags of the database, and proposes the peaks of diverse density that persist.
 
-    Args:
-        contrast: Contrast of the feature group, by which a state of a successful trajectory must stand out.
-
-    Attributes:
-        peaks: Peaks of the last search, best first; empty after a subgoal is accepted.
-        evidence: Bags of the last search; None if there were none.
-        completed: Bags of the search that completed the last subgoal.
+    A state of a successful trajectory must stand out by the ``contrast`` of its feature group, if there is one.
     """
 
-    STATE: ClassVar[tuple[str, ...]] = (
-        "filters",
-        "tracker",
-        "peaks",
-        "evidence",
-        "completed",
-        "maker",
-        "_n_new",
-        "_n_since",
-        "_n_accepted",
-    )
+    STATE = ("filters", "tracker", "peaks", "evidence", "completed", "maker", "_n_new", "_n_since", "_n_accepted")
 
     needs_success = True
     searches = True
     again_after = np.inf
-    cut_threshold = 0.4
-    """Lower threshold for a state known to cut off its surroundings: it is hardly an accident."""
+    cut_threshold = 0.4  # instead of `threshold`, for a state known to cut off its surroundings: hardly an accident
 
     def __init__(self, contrast: Contrast | None = None) -> None:
         self.contrast = contrast
-        self.peaks: list[Peak] = []
-        self.evidence: FilteredBags | None = None
-        self.completed: FilteredBags | None = None
+        self.peaks: list[Peak] = []  # of the last search, best first; empty after a subgoal is accepted
+        self.evidence: FilteredBags | None = None  # of the last search
+        self.completed: FilteredBags | None = None  # of the search that completed the last subgoal
         self._n_new = 0  # states whose bags are not made yet
         self._n_since = 0  # trajectories since the last search
         self._n_accepted = 0

@@ -79,19 +79,12 @@ class Experience:
 
 
 class Places(NamedTuple):
-    """The distinct places of a trajectory.
+    """The distinct places of a trajectory."""
 
-    Attributes:
-        points: One state of each place, (k, d).
-        bins: Bin of each place, whole numbers, (k, d).
-        visits: Row of ``points`` at every time, (T + 1,).
-        allowed: Whether all states of a place may be subgoals, (k,).
-    """
-
-    points: FloatArray
-    bins: FloatArray
-    visits: IntArray
-    allowed: BoolArray
+    points: FloatArray  # one state of each place, (k, d)
+    bins: FloatArray  # whole numbers, (k, d)
+    visits: IntArray  # row of ``points`` at every time, (T + 1,)
+    allowed: BoolArray  # whether all states of a place may be subgoals, (k,)
 
 
 class DiscoveryMethod(Protocol):
@@ -118,24 +111,15 @@ class DiscoveryMethod(Protocol):
 
 
 class Method(DiscoveryMethod):
-    """A `DiscoveryMethod` of the library, with the further interface that ``Discovery`` uses.
-
-    Attributes:
-        needs_success: Whether it proposes nothing before a success.
-        searches: Whether it searches the database now and then (`is_due`), with its own filters; otherwise it notes
-            every trajectory.
-        again_after: A withdrawn subgoal may come again once the number of trajectories has grown by this factor.
-        learns_from_failures: Whether a failure may lead to a proposal.
-        min_successes: Number of successful trajectories that it waits for.
-    """
+    """A `DiscoveryMethod` of the library, with the further interface that ``Discovery`` uses."""
 
     STATE: ClassVar[tuple[str, ...]] = ()
 
-    needs_success: bool = False
-    searches: bool = False
-    again_after: float = 2.0
-    learns_from_failures: bool = True
-    min_successes: int = 0
+    needs_success: bool = False  # it proposes nothing before a success
+    searches: bool = False  # the database now and then (`is_due`), with its own filters, or it notes every trajectory
+    again_after: float = 2.0  # a withdrawn subgoal may come again when there are this many times as many trajectories
+    learns_from_failures: bool = True  # a failure may lead to a proposal
+    min_successes: int = 0  # successful trajectories that it waits for
     _cost: float = 0.0
 
     def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup]) -> None:

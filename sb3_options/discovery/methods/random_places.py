@@ -12,12 +12,7 @@ from sb3_options.discovery.methods.method import Experience, Method
 
 @dataclass(kw_only=True, eq=False)
 class RandomPlaces(Method):
-    """A control that proposes a random place of each successful trajectory.
-
-    Args:
-        min_successes: Successful trajectories before the first proposal.
-        seed: Seed of the random generator.
-    """
+    """A control that proposes a random place of each successful trajectory, from the ``min_successes``-th one on."""
 
     STATE = ("_successes", "_random")
 
