@@ -1,6 +1,7 @@
 """Places that were candidates often enough."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +21,7 @@ class CandidateMethod(Method):
     It counts for every place how often it was seen and how often it was a candidate.
     """
 
-    STATE = ("_row", "_points", "_counts")
+    STATE: ClassVar[tuple[str, ...]] = ("_row", "_points", "_counts")
 
     def __init__(self) -> None:
         self._row: dict[bytes, int] = {}  # row of each place, by its bin

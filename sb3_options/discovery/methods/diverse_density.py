@@ -1,6 +1,7 @@
 """Peaks of diverse density that persist (McGovern & Barto 2001, Table 1)."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,7 +41,17 @@ class PersistentPeaks(Method):
     A state of a successful trajectory must stand out by the ``contrast`` of its feature group, if there is one.
     """
 
-    STATE = ("filters", "tracker", "peaks", "evidence", "completed", "maker", "_n_new", "_n_since", "_n_accepted")
+    STATE: ClassVar[tuple[str, ...]] = (
+        "filters",
+        "tracker",
+        "peaks",
+        "evidence",
+        "completed",
+        "maker",
+        "_n_new",
+        "_n_since",
+        "_n_accepted",
+    )
 
     needs_success = True
     searches = True

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class GroupedPeaks(Method):
     must stand out by its `Contrast`. A search follows a success, and later a few of them (``search_growth``).
     """
 
-    STATE = ("_members", "_leading", "_searched", "_n_successful", "_n_standing")
+    STATE: ClassVar[tuple[str, ...]] = ("_members", "_leading", "_searched", "_n_successful", "_n_standing")
 
     needs_success = True
     searches = True
