@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from sb3_options.density.arrays import FloatArray
@@ -35,6 +37,7 @@ def two_room_bag(rng: np.random.Generator, drift: float) -> FloatArray:
     return np.array(kept, dtype=np.float64)
 
 
+@functools.cache
 def two_rooms(seed: int, drift: float = 0.15) -> Bags:
     rng = np.random.default_rng(seed)
     return Bags.pack([two_room_bag(rng, drift) for _ in range(25)])

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
 from sb3_options.density.bags import Bags
+from sb3_options.density.concepts import Point
 from sb3_options.density.diverse_density import DiverseDensity
 from sb3_options.density.log_density import log_diverse_density
 from tests.density.definition import ONE
+
+MASKED = np.ma.array([[1.0, 2.0]], mask=[[False, True]])
 
 
 @pytest.mark.parametrize(
@@ -24,9 +28,14 @@ from tests.density.definition import ONE
         ([ONE], [np.zeros((1, 3))], "as many features as positive bag 0, (1, 2), got (1, 3)"),
         ([ONE, ONE * np.nan], [], "positive bag 1 holds NaN, or features beyond"),
         ([ONE], [ONE + np.inf], "negative bag 0 holds NaN, or features beyond"),
+        ([ONE, [[1 + 2j]]], [], "positive bag 1 must hold real numbers, none of them masked, got complex128"),
+        ([ONE, MASKED], [], "positive bag 1 must hold real numbers, none of them masked"),
+        ([[["1.5"]]], [], "positive bag 0 must hold real numbers, none of them masked, got <U3"),
+        ([[[None]]], [], "positive bag 0 must hold real numbers, none of them masked, got object"),
+        ([[[1.0], [1.0, 2.0]]], [], "inhomogeneous shape"),
     ],
 )
-def test_bad_bags(positive: list[ArrayLike], negative: list[ArrayLike], text: str) -> None:
+def test_bad_bags(positive: list[Any], negative: list[Any], text: str) -> None:
     with pytest.raises(ValueError, match=re.escape(text)):
         Bags.pack(positive, negative)
 
@@ -50,6 +59,7 @@ def test_features_whose_squares_overflow() -> None:
         ([[0.0, 0.0]], [1.0, 0.0], 1.0, "scales must be positive and finite"),
         ([[0.0, 0.0]], [1.0, 1e60], 1.0, "scales must be positive and finite"),
         ([[0.0, 0.0]], 1.0, 0.0, "negative_strength must be in (0, 1]"),
+        (MASKED, 1.0, 1.0, "points must hold real numbers, none of them masked"),
     ],
 )
 def test_bad_arguments(points: ArrayLike, scales: ArrayLike, eta: float, text: str) -> None:
@@ -63,6 +73,38 @@ def test_a_leak_out_of_range(leak: float) -> None:
         log_diverse_density([[0.0, 0.0]], 1.0, Bags.pack([ONE]), leak=leak)
     with pytest.raises(ValueError, match=r"^DiverseDensity: leak should be "):
         DiverseDensity(leak=leak)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"scale": -1.0}, "scale must be positive, finite, a number or (d,), got -1.0"),
+        ({"scale": [[1.0]]}, "scale must be positive, finite, a number or (d,)"),
+        ({"scale": 1j}, "scale must be positive, finite, a number"),
+        ({"finalists": 0}, "finalists should be greater than or equal to 1, got 0"),
+        ({"finalists": 2.5}, "finalists should be a valid integer"),
+        ({"max_starts": 0.5}, "max_starts should be a valid integer"),
+        ({"method": "newton"}, "method should be 'gradient', 'thorough' or 'exhaustive'"),
+        ({"negative_strength": 2.0}, "negative_strength should be less than or equal to 1, got 2.0"),
+        ({"concept": Point(), "method": "exhaustive"}, "needs method=\"thorough\", got 'exhaustive'"),
+    ],
+)
+def test_bad_settings(arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        DiverseDensity(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"scales": "two"}, "scales should be 'each', 'one' or 'fixed'"),
+        ({"scale_bounds": (1.0, 0.5)}, "scale_bounds must be factors 0 <= low < high, got (1.0, 0.5)"),
+        ({"prior_width": 0.0}, "prior_width should be greater than 0, got 0.0"),
+    ],
+)
+def test_bad_concepts(arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        Point(**arguments)
 
 
 def test_bad_searches() -> None:

@@ -16,34 +16,6 @@ from sb3_options.density.log_density import log_diverse_density
 from tests.density.definition import ONE, ROUNDING, density, oracle, random_bags
 
 
-def test_value_against_the_definition() -> None:
-    rng = np.random.default_rng(0)
-    for case in range(500):
-        d = int(rng.integers(1, 7))
-        spread = 10.0 ** rng.uniform(-1, 1)
-        positive = random_bags(rng, int(rng.integers(0, 4)), d, spread)
-        negative = random_bags(rng, int(rng.integers(0 if positive else 1, 3)), d, spread)
-        scale = rng.uniform(0.3, 2.0, size=d)
-        eta = float(rng.choice([1.0, 0.5]))
-        point = rng.normal(scale=spread, size=d)
-        if positive and case % 5 == 0:
-            point = positive[0][0]
-        expected = float(oracle(point, scale, positive, negative, eta))
-        assert density([point], scale, positive, negative, eta)[0] == pytest.approx(expected, rel=1e-9, abs=ROUNDING), (
-            case
-        )
-
-
-@pytest.mark.parametrize("d", [2, 20])
-@pytest.mark.parametrize("distance", [0.0, 1e-3, 0.1, 1.0, 3.0, 4.3, 4.4, 10.0, 27.0, 40.0, 100.0, 1e4])
-def test_value_at_any_distance(distance: float, d: int) -> None:
-    rng = np.random.default_rng(1)
-    positive = [rng.normal(scale=0.1, size=(n, d)) + np.eye(d)[0] * distance for n in (3, 5)]
-    positive[0][0] = np.eye(d)[0] * distance
-    expected = oracle(np.zeros(d), 1.0, positive)
-    assert density(np.zeros((1, d)), 1.0, positive)[0] == pytest.approx(float(expected), rel=1e-9, abs=ROUNDING)
-
-
 def test_an_offset_costs_no_digits() -> None:
     rng = np.random.default_rng(3)
     offset = np.array([1024.0, -4096.0])  # on the grid of the features, so that adding it is exact

@@ -227,35 +227,3 @@ def test_no_rounding_decides_between_peaks_that_tie(scales: Literal["fixed", "on
             assert best.log_density == pytest.approx(next_best.log_density, abs=0.01)
             found.append(best.region().points[0])
         np.testing.assert_allclose(found[0], found[1], atol=0.01)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ({"scale": -1.0}, "scale must be positive, finite, a number or (d,), got -1.0"),
-        ({"finalists": 0}, "finalists should be greater than or equal to 1, got 0"),
-        ({"finalists": 2.5}, "finalists should be a valid integer"),
-        ({"max_starts": 0.5}, "max_starts should be a valid integer"),
-        ({"method": "newton"}, "method should be 'gradient', 'thorough' or 'exhaustive'"),
-        ({"negative_strength": 2.0}, "negative_strength should be less than or equal to 1, got 2.0"),
-        ({"scale": [[1.0]]}, "scale must be positive, finite, a number or (d,)"),
-        ({"concept": Point(), "method": "exhaustive"}, "needs method=\"thorough\", got 'exhaustive'"),
-        ({"leak": 1.0}, "leak should be less than 1, got 1.0"),
-    ],
-)
-def test_bad_settings(arguments: dict[str, object], text: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(text)):
-        DiverseDensity(**arguments)  # type: ignore[arg-type]  # wrong on purpose
-
-
-@pytest.mark.parametrize(
-    ("make", "text"),
-    [
-        (lambda: Point("two"), "scales should be 'each', 'one' or 'fixed'"),  # type: ignore[arg-type]  # wrong on purpose
-        (lambda: Point(scale_bounds=(1.0, 0.5)), "scale_bounds must be factors 0 <= low < high, got (1.0, 0.5)"),
-        (lambda: Point(prior_width=0.0), "prior_width should be greater than 0, got 0.0"),
-    ],
-)
-def test_bad_concepts(make: object, text: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(text)):
-        make()  # type: ignore[operator]
