@@ -1,7 +1,5 @@
 """Diverse density by its definition, with 60 digits and more, and bags to compare on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from decimal import MIN_EMIN, Decimal, localcontext
 

@@ -1,7 +1,5 @@
 """Bags whose concept is known: two rooms with a door, and noise around a place."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

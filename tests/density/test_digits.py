@@ -1,7 +1,5 @@
 """Value and gradient against 60 digits, where differences of large numbers decide."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Bags, points, settings and searches that are refused."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

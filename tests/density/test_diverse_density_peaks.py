@@ -1,7 +1,5 @@
 """Peaks that gradient search and exhaustive search find: the door, what was planted, ties."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

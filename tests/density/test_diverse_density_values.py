@@ -1,7 +1,5 @@
 """Values and gradients of the log diverse density against its definition, near, far and on an instance."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -7,10 +7,12 @@ import numpy as np
 
 from sb3_options.discovery.bags import FilteredBags
 from sb3_options.discovery.discovery import Discovery
+from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import Trajectory
+from sb3_options.options.bank import OptionBank
 from tests.support.helpers import trajectory_of
 
 SMALL: dict[str, Any] = {
@@ -52,3 +54,9 @@ def peaks_of(discovery: Discovery) -> PersistentPeaks:
 
 def bags_of(discovery: Discovery) -> FilteredBags | None:
     return peaks_of(discovery).bags(discovery.experience([*discovery.database][-1]))
+
+
+def said(discovery: Discovery, text: str | None = None) -> str:
+    """What the figure says where there is no map."""
+    (shown,) = subgoals_figure(discovery, OptionBank(4, 2), text).axes[0].texts
+    return " ".join(shown.get_text().split())

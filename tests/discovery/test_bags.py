@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.discovery.bags import BagMaker, FilteredBags
+from sb3_options.discovery.bags import BagMaker
 from sb3_options.discovery.filters import Filters
 from sb3_options.discovery.local_cuts import MIN_CUT
 from sb3_options.discovery.settings import DiscoverySettings
@@ -21,40 +21,35 @@ def maker(**changes: Any) -> BagMaker:
     return BagMaker(settings, Filters(settings, scale=np.full(1, settings.scale)))
 
 
-def make(*trajectories: LabelledTrajectory, taken: Any = (), **changes: Any) -> FilteredBags | None:
-    return maker(**changes).make(trajectories, taken)
+def made(maker: BagMaker, trajectories: Any, taken: Any = ()) -> list[list[float]] | None:
+    """The places in the positive bags."""
+    bags = maker.make(trajectories, taken)
+    return None if bags is None else [bag.ravel().tolist() for bag in bags.positive]
 
 
-def places(bags: list[Any]) -> list[list[float]]:
-    return [bag.ravel().tolist() for bag in bags]
+def make(*trajectories: LabelledTrajectory, taken: Any = (), **changes: Any) -> list[list[float]] | None:
+    return made(maker(**changes), trajectories, taken)
 
 
 def test_each_state_once_in_order_of_first_visits() -> None:
-    bags = make(line([0, 5, 3, 5, 7, 3, 20]))
-    assert bags is not None
-    assert places(bags.positive) == [[5, 3, 7]]
+    assert make(line([0, 5, 3, 5, 7, 3, 20])) == [[5, 3, 7]]
 
 
 def test_different_observations_with_the_same_features_are_one_instance() -> None:
     trajectory = line([0, 1, 2, 3, 9])
     same = LabelledTrajectory(trajectory.trajectory, np.array([[0.0], [4.0], [6.0], [4.0], [9.0]]), True)
-    for loops in ("keep", "erase"):
-        bags = make(same, loops=loops)
-        assert bags is not None
-        assert places(bags.positive) == [[4, 6] if loops == "keep" else [4]]
+    assert make(same, loops="keep") == [[4, 6]]
+    assert make(same, loops="erase") == [[4]]
 
 
 def test_not_near_start_and_end_nor_near_what_is_taken() -> None:
-    bags = make(line([0, 1, 5, 9, 12, 19, 20]), start_radius=2.0, goal_radius=2.0, taken=[ball(10.0)], spacing=1.5)
-    assert bags is not None
-    assert places(bags.positive) == [[5, 12]]
+    way, radii = line([0, 1, 5, 9, 12, 19, 20]), {"start_radius": 2.0, "goal_radius": 2.0}
+    assert make(way, **radii, taken=[ball(10.0)], spacing=1.5) == [[5, 12]]
 
 
 def test_spacing_has_the_unit_of_the_scale() -> None:
     # A step of 1 counts 2: within 3 of the subgoal lies what is nearer than 1.5.
-    bags = make(line([0, 5, 8, 9, 12, 20]), scale=2.0, taken=[ball(10.0)], spacing=3.0)
-    assert bags is not None
-    assert places(bags.positive) == [[5, 8, 12]]
+    assert make(line([0, 5, 8, 9, 12, 20]), scale=2.0, taken=[ball(10.0)], spacing=3.0) == [[5, 8, 12]]
 
 
 def test_too_few_positive_bags_are_none() -> None:
@@ -65,11 +60,7 @@ def test_too_few_positive_bags_are_none() -> None:
 def test_a_new_subgoal_changes_the_bags_near_it() -> None:
     ways = [line([0, 10, 30 + i % 2, 60]) for i in range(6)]
     one = maker(min_passing=0.7)
-    first = one.make(ways, [])
-    assert first is not None
-    assert places(first.positive) == [[10.0]] * 6
-    assert one.make(ways, [ball(10.0)]) is None
-    assert one.make(ways, []) is not None
+    assert [made(one, ways, taken) for taken in ([], [ball(10.0)], [])] == [[[10.0]] * 6, None, [[10.0]] * 6]
 
 
 def test_an_instance_cuts_off_enough_and_lies_on_enough_ways(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,10 +70,8 @@ def test_an_instance_cuts_off_enough_and_lies_on_enough_ways(monkeypatch: pytest
     assert one.cuts is not None
     cut_off = {10.0: MIN_CUT, 20.0: np.nextafter(MIN_CUT, 0), 30.0: 0.5}
     monkeypatch.setattr(one.cuts, "shares", lambda states: np.array([cut_off[state] for state in states.ravel()]))
-    bags = one.make(ways, [])
-    assert bags is not None
-    assert places(bags.positive) == [[10.0, 30.0]] * 4
-    assert maker(min_passing=0.81).make(ways, []) is None
+    assert made(one, ways) == [[10.0, 30.0]] * 4
+    assert made(maker(min_passing=0.81), ways) is None
     assert list(one._standing_out([one._known[way] for way in ways])) == ["radii", "min_passing", "cuts"]
 
 
@@ -90,9 +79,7 @@ def test_a_copy_makes_the_same_bags() -> None:
     trajectories = [line([0, 5, i, 20]) for i in (7, 9, 11)]
     for changes in ({}, {"min_passing": 0.4, "loops": "erase"}):
         one = maker(**changes)
-        before = one.make(trajectories, ())
+        before = made(one, trajectories)
+        assert before is not None
         other, copies = copy.deepcopy((one, trajectories))
-        for after in (one.make(trajectories, ()), other.make(copies, ()), other.make(trajectories, ())):
-            assert before is not None
-            assert after is not None
-            assert places(after.positive) == places(before.positive)
+        assert made(one, trajectories) == made(other, copies) == made(other, trajectories) == before

@@ -7,7 +7,6 @@ from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from matplotlib.axes import Axes
@@ -19,6 +18,7 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.figures import map_figure, subgoals_figure
 from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.creation import learn_option
@@ -26,7 +26,7 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
 from tests.discovery.drawn import all_of_them
-from tests.discovery.lines import peaks_of
+from tests.discovery.lines import peaks_of, said
 from tests.support.helpers import steady_option, trajectory_of
 from tests.support.sb3_helpers import n_colours, small_rooms
 
@@ -51,13 +51,11 @@ def walks(n: int) -> list[Trajectory]:
 
 
 @functools.cache
-def discovered(
-    kind: str | None, features: Callable[[Any], npt.NDArray[np.float64]], n: int = 30
-) -> tuple[Discovery, OptionBank]:
+def discovered(kind: str | None, features: Callable[[Any], FloatArray]) -> tuple[Discovery, OptionBank]:
     """Discovery over random walks, up to its first option."""
     discovery = Discovery(DiscoverySettings(min_positive=3, start_radius=0.5, goal_radius=1.5, decay=0.5), kind=kind)
     bank = OptionBank(4, 2)
-    for trajectory in walks(n):
+    for trajectory in walks(30):
         discovery.add(trajectory, features(np.asarray(trajectory.states, dtype=np.float64)))
         if bank.filled:
             continue
@@ -70,13 +68,12 @@ def discovered(
     return discovery, bank
 
 
-def xy(states: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def xy(states: FloatArray) -> FloatArray:
     return states
 
 
-def one_hot(states: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    cells: npt.NDArray[np.float64] = np.eye(45)[(states[:, 0] + 9 * states[:, 1]).astype(int)]
-    return cells
+def one_hot(states: FloatArray) -> FloatArray:
+    return np.asarray(np.eye(45)[(states[:, 0] + 9 * states[:, 1]).astype(int)])
 
 
 def maps(discovery: Discovery, bank: OptionBank) -> dict[str, Axes]:
@@ -147,7 +144,7 @@ def test_initiation_set_and_arrows_that_lead_to_the_subgoal() -> None:
     ],
     ids=["three", "scaled"],
 )
-def test_spaces_of_other_sizes(kind: str, features: Callable[[Any], npt.NDArray[np.float64]], name: str) -> None:
+def test_spaces_of_other_sizes(kind: str, features: Callable[[Any], FloatArray], name: str) -> None:
     discovery, bank = discovered(kind, features)
     panels = maps(discovery, bank)
     assert list(panels) == [DENSITY, VISITS, "initiation set", POLICY]
@@ -158,20 +155,17 @@ def test_spaces_of_other_sizes(kind: str, features: Callable[[Any], npt.NDArray[
 
 
 @pytest.mark.parametrize(("kind", "features"), [("categorical", one_hot), ("identity", lambda s: s[:, :1])])
-def test_spaces_without_a_map(kind: str, features: Callable[[Any], npt.NDArray[np.float64]]) -> None:
+def test_spaces_without_a_map(kind: str, features: Callable[[Any], FloatArray]) -> None:
     discovery, bank = discovered(kind, features)
     assert map_figure(discovery, bank) is None
-    (text,) = subgoals_figure(discovery, bank).axes[0].texts
-    assert text.get_text().startswith(f"Subgoals: {discovery.found[0].where(kind)}. Their features have no map")
+    assert said(discovery) == f"Subgoals: {discovery.found[0].where(kind)}. Their features have no map to draw them in."
 
 
 def test_before_any_search_there_is_nothing_to_draw() -> None:
     empty = Discovery()
     assert map_figure(empty, OptionBank(4, 2)) is None
-    (text,) = subgoals_figure(empty, OptionBank(4, 2)).axes[0].texts
-    assert text.get_text().startswith("No subgoal was discovered: no episode has ended. Train for longer")
-    (text,) = subgoals_figure(empty, OptionBank(4, 2), "Discovery was switched off.").axes[0].texts
-    assert text.get_text() == "Discovery was switched off."
+    assert said(empty).startswith("No subgoal was discovered: no episode has ended. Train for longer")
+    assert said(empty, "Discovery was switched off.") == "Discovery was switched off."
 
 
 def test_options_by_hand_and_on_groups_of_features_are_left_out() -> None:

@@ -8,26 +8,27 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.contrast import NO_PLACE, Contrast
 from sb3_options.discovery.discovery import Discovery
-from sb3_options.discovery.figures import map_figure, subgoals_figure
+from sb3_options.discovery.figures import map_figure
 from sb3_options.discovery.methods.grouped import GroupedPeaks
 from sb3_options.discovery.salience import OutcomeDatabase, Salience
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
 from sb3_options.state import restore, state_of
+from tests.discovery.lines import said
 
 # Features: key visible, key ahead, wall visible, wall ahead, noise.
 KEY = FeatureGroup("key", [0, 1], present=[[0]], scale=[10, 1])
 WALL = FeatureGroup("wall", [2, 3], present=[[2]], scale=[10, 1])
 BOTH = FeatureGroup("both", [0, 1, 2, 3], present=[[0], [2]], scale=[10, 1, 10, 1])
+AT_KEY = [1, 1, 0, 0, 0]
 SOON = DiscoverySettings(start_radius=0, goal_radius=0, min_positive=4, decay=0.5, threshold=0.5)
 
 
 def trajectory(states: Sequence[Sequence[float]], success: bool) -> tuple[Trajectory, FloatArray]:
     features = np.array(states, dtype=np.float64)
-    n = len(features)
-    rewards = np.zeros(n - 1)
-    return Trajectory(features, np.arange(n), np.zeros(n - 1, dtype=int), rewards, True, False, success), features
+    steps = np.zeros(len(features) - 1)
+    return Trajectory(features, np.arange(len(features)), steps.astype(int), steps, True, False, success), features
 
 
 def walk(rng: np.random.Generator, success: bool) -> tuple[Trajectory, FloatArray]:
@@ -46,10 +47,10 @@ def walk(rng: np.random.Generator, success: bool) -> tuple[Trajectory, FloatArra
 
 
 def discovered(groups: Sequence[FeatureGroup]) -> Discovery:
-    return going_on(Discovery(SOON, groups=groups), seed=0)
+    return going_on(Discovery(SOON, groups=groups))
 
 
-def going_on(discovery: Discovery, seed: int) -> Discovery:
+def going_on(discovery: Discovery, seed: int = 0) -> Discovery:
     rng = np.random.default_rng(seed)
     for i in range(60):
         discovery.add(*walk(rng, success=i % 2 == 0))
@@ -97,15 +98,15 @@ def test_where_nothing_stands_out_it_says_so() -> None:
 
 
 def test_the_picture_names_the_subgoals() -> None:
-    figure = subgoals_figure(discovered([WALL, KEY]), OptionBank(2, 1))
-    (axes,) = figure.axes
-    assert "Subgoals: key at 1, 1." in axes.texts[0].get_text().replace("\n", " ")
-    assert map_figure(discovered([WALL, KEY]), OptionBank(2, 1)) is None
+    discovery = discovered([WALL, KEY])
+    assert said(discovery).startswith("Subgoals: key at 1, 1.")
+    assert map_figure(discovery, OptionBank(2, 1)) is None
 
 
-def values_of(contrast: Contrast, features: FloatArray) -> FloatArray:
+def values_of(contrast: Contrast, *states: Sequence[float]) -> FloatArray:
     """The contrast of states by all their features."""
-    own = contrast.group.own(features.astype(np.float64))
+    features = np.array(states, dtype=np.float64)
+    own = contrast.group.own(features)
     numbers = [contrast._numbers.get(state.tobytes(), -1) for state in own]
     values: FloatArray = contrast._values[np.where(contrast.group.is_place(features), numbers, -1)]
     return values
@@ -125,13 +126,13 @@ def test_contrast_by_hand() -> None:
         labelled([[0, 0, 0, 0, 0], [0, 0, 1, 1, 0]], False),
     ]
     contrast.update(trajectories)
-    values = values_of(contrast, np.array([[1, 1, 7, 7, 7], [1, 2, 0, 0, 0], [0, 1, 0, 0, 0]]))
+    values = values_of(contrast, [1, 1, 7, 7, 7], [1, 2, 0, 0, 0], [0, 1, 0, 0, 0])
     np.testing.assert_allclose(values, [3 / 4 - 1 / 5, 2 / 4 - 2 / 5, NO_PLACE])
     assert contrast.largest() == pytest.approx(3 / 4 - 1 / 5)
     # 2 is a neighbour of 1 within a wider radius.
     wide = Contrast(KEY, radius=1.0)
     wide.update(trajectories)
-    np.testing.assert_allclose(values_of(wide, np.array([[1.0, 1, 0, 0, 0]])), [3 / 4 - 2 / 5])
+    np.testing.assert_allclose(values_of(wide, AT_KEY), [3 / 4 - 2 / 5])
 
 
 def test_where_most_begin_is_no_place_to_reach() -> None:
@@ -139,9 +140,9 @@ def test_where_most_begin_is_no_place_to_reach() -> None:
     begins = [labelled([[1, 1, 0, 0, 0], [0, 0, 0, 0, 0]], True) for _ in range(4)]
     others = [labelled([[0, 0, 0, 0, 0], [1, 1, 0, 0, 0]], True), *(labelled([[0] * 5, [1, 3, 0, 0, 0]], False),) * 2]
     contrast.update([*begins, *others])
-    assert values_of(contrast, np.array([[1.0, 1, 0, 0, 0]])).tolist() == [NO_PLACE]
+    assert values_of(contrast, AT_KEY).tolist() == [NO_PLACE]
     contrast.update([*begins[:2], *others])
-    assert values_of(contrast, np.array([[1.0, 1, 0, 0, 0]]))[0] > 0
+    assert values_of(contrast, AT_KEY)[0] > 0
 
 
 def test_few_successes_are_not_pushed_out_by_many_failures() -> None:
@@ -166,13 +167,13 @@ def test_the_unsuccessful_count_for_what_they_did_in_the_time_of_a_success() -> 
     lived = [comes_to_the_key(*how) for how in ((1, 2, True), (3, 4, True), (2, 9, False), (9, 9, False))]
     own = Contrast(KEY, 0.5)
     own.update(lived)
-    assert values_of(own, np.array([[1.0, 1, 0, 0, 0]])) == pytest.approx(0.75 - 2 / 4)
+    assert values_of(own, AT_KEY) == pytest.approx(0.75 - 2 / 4)
 
 
 def test_what_is_near_counts_with_when_it_was_first() -> None:
     near, early = Contrast(KEY, 1.0), labelled([[0, 0, 0, 0, 0], [1, 2, 0, 0, 0], [1, 1, 0, 0, 0]], False)
     near.update([early, labelled([[0, 0, 0, 0, 0], [1, 1, 0, 0, 0]], True)])
-    assert values_of(near, np.array([[1.0, 1, 0, 0, 0]])) == pytest.approx(2 / 3 - 2 / 3)  # near in time
+    assert values_of(near, AT_KEY) == pytest.approx(2 / 3 - 2 / 3)  # near in time
 
 
 def test_a_subgoal_that_is_withdrawn_comes_again() -> None:

@@ -1,7 +1,5 @@
 """What learned spaces are measured against: shortest paths."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
