@@ -1,3 +1,5 @@
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,14 +11,15 @@ from experiments.common.few_peaks import extent_of
 from sb3_options.density.diverse_density import Peak
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import diverse_density
-from sb3_options.discovery.peaks import PeakTracker, plateau_centres
+from sb3_options.discovery.peaks import PeakTracker, TrackedConcept, plateau_centres
+from sb3_options.experience.observations import FloatArray
 from tests.discovery.lines import peaks_of
 
 A, B = [0.0, 0.0], [5.0, 0.0]
 ONES = np.ones(2)
 
 
-def peaks(*points: list[float]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def peaks(*points: list[float]) -> FloatArray:
     return np.array(points, dtype=np.float64).reshape(-1, 2)
 
 
@@ -84,18 +87,26 @@ def test_too_many_peaks_that_tie_have_no_middles(monkeypatch: pytest.MonkeyPatch
         assert method.places().shape == (middles, 2)
 
 
+def tracked(*searches: list[list[float]], decay: float = 0.5, radius: float = 1.0) -> PeakTracker:
+    """After searches that found these peaks each."""
+    tracker = PeakTracker(decay=decay, radius=radius)
+    for found in searches:
+        tracker.update(peaks(*found), ONES)
+    return tracker
+
+
+def points(concepts: Iterable[TrackedConcept]) -> list[list[float]]:
+    return [concept.point.tolist() for concept in concepts]
+
+
 class TestAverages:
     def test_by_hand(self) -> None:
         """λ = 1/2: found, found, missed, found gives 1/2, 3/4, 3/8, 11/16."""
-        tracker = PeakTracker(decay=0.5, radius=1.0)
-        averages = []
-        for found in (True, True, False, True):
-            tracker.update(peaks(A) if found else peaks(B), ONES)
-            averages.append(tracker.concepts[0].average)
+        searches = [[A], [A], [B], [A]]
+        averages = [tracked(*searches[:n]).concepts[0].average for n in (1, 2, 3, 4)]
         assert averages == [0.5, 0.75, 0.375, 0.6875]
         # B was found in the third search only: 1/2, then 1/4.
-        assert [c.average for c in tracker.concepts] == [0.6875, 0.25]
-        assert [c.found for c in tracker.concepts] == [True, False]
+        assert [(c.average, c.found) for c in tracked(*searches).concepts] == [(0.6875, True), (0.25, False)]
 
     @pytest.mark.parametrize("decay", [0.1, 0.5, 0.75, 0.9])
     def test_rises_to_the_limit(self, decay: float) -> None:
@@ -115,78 +126,50 @@ class TestAverages:
     def test_persistent_after_as_many_searches_as_1_minus_decay_to_the_n_exceeds_the_threshold(
         self, decay: float, threshold: float, searches: int
     ) -> None:
-        tracker = PeakTracker(decay=decay)
-        for _ in range(searches - 1):
-            tracker.update(peaks(A), ONES)
-            assert tracker.persistent(threshold) == []
-        tracker.update(peaks(A), ONES)
-        assert [c.point.tolist() for c in tracker.persistent(threshold)] == [A]
+        persistent = [tracked(*[[A]] * n, decay=decay).persistent(threshold) for n in range(1, searches + 1)]
+        assert persistent[:-1] == [[]] * (searches - 1)
+        assert points(persistent[-1]) == [A]
 
     def test_persistent_are_those_of_the_last_search_largest_first(self) -> None:
-        tracker = PeakTracker(decay=0.5, radius=1.0)
-        tracker.update(peaks(B), ONES)
-        tracker.update(peaks(A, B), ONES)
-        assert [c.point.tolist() for c in tracker.persistent(0.1)] == [B, A]
-        tracker.update(peaks(A), ONES)
-        assert [c.point.tolist() for c in tracker.persistent(0.1)] == [A]
-        tracker.update(peaks(A, B), ONES)
-        assert [c.point.tolist() for c in tracker.persistent(0.7)] == [A]
+        assert points(tracked([B], [A, B]).persistent(0.1)) == [B, A]
+        assert points(tracked([B], [A, B], [A]).persistent(0.1)) == [A]
+        assert points(tracked([B], [A, B], [A], [A, B]).persistent(0.7)) == [A]
 
     def test_at_the_threshold_a_peak_does_not_persist_yet(self) -> None:
-        tracker = PeakTracker(decay=0.5)
-        tracker.update(peaks(A), ONES)
-        assert (len(tracker.persistent(0.5)), len(tracker.persistent(0.499))) == (0, 1)
+        assert (tracked([A]).persistent(0.5), points(tracked([A]).persistent(0.499))) == ([], [A])
 
     def test_leading(self) -> None:
-        tracker = PeakTracker(decay=0.5, radius=1.0)
-        assert tracker.leading_average() == 0.0
-        tracker.update(peaks(A), ONES)
-        tracker.update(peaks(B), ONES)
-        tracker.update(peaks(), ONES)
-        assert tracker.leading_average() == 0.25
+        assert [tracked(*searches).leading_average() for searches in ([], [[A], [B], []])] == [0.0, 0.25]
 
     def test_forgotten_concepts_are_dropped(self) -> None:
-        tracker = PeakTracker(decay=0.5)
-        tracker.update(peaks(A), ONES)
-        for _ in range(8):
-            tracker.update(peaks(), ONES)
-        assert [c.average for c in tracker.concepts] == [0.5**9]
-        tracker.update(peaks(), ONES)
-        assert tracker.concepts == []
+        assert [c.average for c in tracked([A], *[[]] * 8).concepts] == [0.5**9]
+        assert tracked([A], *[[]] * 9).concepts == []
 
 
 class TestAssignment:
     def test_a_peak_belongs_to_the_nearest_concept_within_the_radius(self) -> None:
-        tracker = PeakTracker(decay=0.5, radius=2.0)
-        tracker.update(peaks([0, 0], [3, 0]), ONES)
-        tracker.update(peaks([1.75, 0]), ONES)  # within 2 of both, nearer to the second
+        tracker = tracked([[0, 0], [3, 0]], [[1.75, 0]], radius=2.0)  # within 2 of both, nearer to the second
         assert [(c.point.tolist(), c.average) for c in tracker.concepts] == [([0, 0], 0.25), ([1.75, 0], 0.75)]
 
     def test_at_the_radius_and_beyond(self) -> None:
-        tracker = PeakTracker(decay=0.5, radius=2.0)
-        tracker.update(peaks([0, 0]), ONES)
-        tracker.update(peaks([0, 2]), ONES)
-        assert len(tracker.concepts) == 1
-        tracker.update(peaks([0, 4.01]), ONES)
-        assert [c.point.tolist() for c in tracker.concepts] == [[0, 2], [0, 4.01]]
+        assert points(tracked([[0, 0]], [[0, 2]], radius=2.0).concepts) == [[0, 2]]
+        assert points(tracked([[0, 0]], [[0, 2]], [[0, 4.01]], radius=2.0).concepts) == [[0, 2], [0, 4.01]]
 
     def test_two_peaks_of_one_concept_count_once_and_the_better_one_places_it(self) -> None:
-        tracker = PeakTracker(decay=0.5, radius=2.0)
-        tracker.update(peaks([0, 0], [1, 0], [0, 0]), ONES)
+        tracker = tracked([[0, 0], [1, 0], [0, 0]], radius=2.0)
         assert [(c.point.tolist(), c.average) for c in tracker.concepts] == [([0, 0], 0.5)]
 
     def test_distances_are_scaled(self) -> None:
         tracker = PeakTracker(decay=0.5, radius=1.0)
-        scale = np.array([0.1, 10.0])
-        tracker.update(peaks([0, 0]), scale)
-        tracker.update(peaks([9, 0]), scale)
-        assert len(tracker.concepts) == 1
-        tracker.update(peaks([9, 0.2]), scale)
-        assert len(tracker.concepts) == 2
+        numbers = []
+        for place in ([0, 0], [9, 0], [9, 0.2]):
+            tracker.update(peaks(place), np.array([0.1, 10.0]))
+            numbers.append(len(tracker.concepts))
+        assert numbers == [1, 1, 2]
 
     def test_concepts_do_not_change_with_the_callers_array(self) -> None:
         tracker = PeakTracker()
         found = peaks(A)
         tracker.update(found, ONES)
         found += 7.0
-        assert tracker.concepts[0].point.tolist() == A
+        assert points(tracker.concepts) == [A]

@@ -17,6 +17,17 @@ BY_FIVE = (0, 2, 5, 9, 20), (1, 3.5, 5, 7, 21)
 BY_FIVE_AND_TWELVE = (0, 2, 5, 9, 12, 20), (1, 3.5, 5, 7, 12, 21)
 
 
+def searches_of(discovery: Discovery, successes: list[bool]) -> tuple[list[int], list[int]]:
+    """After which of so many walks it searches, and finds a subgoal."""
+    searched, finds = [], []
+    for n, success in enumerate(successes, start=1):
+        discovery.add(*on_a_line(0, 5, 20, success=success))
+        spent = discovery.diary.spent
+        finds += [n] if discovery.search() is not None else []
+        searched += [n] if discovery.diary.spent > spent else []
+    return searched, finds
+
+
 class TestSearch:
     def test_by_hand(self) -> None:
         """Both walks pass 5; λ = 1/2 and a threshold of 0.4 want one search."""
@@ -60,17 +71,15 @@ class TestSearch:
             assert found(discovery) == expected
 
     @pytest.mark.parametrize("search", SEARCHES)
-    def test_too_many_places_are_accidents(self, search: str) -> None:
-        for max_places, expected in ((1, None), (2, [5.0])):
-            discovery = Discovery(settings_of(search=search), FewPeaks(max_places))
-            assert found(walked(discovery, *BY_FIVE_AND_TWELVE)) == expected
-
-    @pytest.mark.parametrize("search", SEARCHES)
-    def test_a_wide_plateau_is_open_space(self, search: str) -> None:
-        for max_extent, expected in ((1.0, None), (2.0, [7.0])):
-            discovery = Discovery(settings_of(search=search), FewPeaks(9, max_extent))
-            ways = (0, 2, 5, 6, 7, 8, 9, 20), (1, 3.5, 5, 6, 7, 8, 9, 21)
-            assert found(walked(discovery, *ways)) == expected
+    def test_too_many_places_are_accidents_and_a_wide_plateau_is_open_space(self, search: str) -> None:
+        wide = (0, 2, 5, 6, 7, 8, 9, 20), (1, 3.5, 5, 6, 7, 8, 9, 21)
+        for method, ways, expected in (
+            (FewPeaks(1), BY_FIVE_AND_TWELVE, None),
+            (FewPeaks(2), BY_FIVE_AND_TWELVE, [5.0]),
+            (FewPeaks(9, 1.0), wide, None),
+            (FewPeaks(9, 2.0), wide, [7.0]),
+        ):
+            assert found(walked(Discovery(settings_of(search=search), method), *ways)) == expected
 
     def test_a_peak_where_nobody_can_stand_moves_to_the_nearest_instance(self) -> None:
         discovery = walked(Discovery(settings_of(search="gradient")), (0, 5.0, 20), (1, 5.5, 21))
@@ -112,15 +121,6 @@ class TestSearch:
         discovery = Discovery(settings_of(search=search, loops="erase", min_passing=0.7, min_positive=3))
         walked(discovery, *((0, 10, 30 + way % 3, 60) for way in range(6)))
         assert found(discovery) == pytest.approx([10.0], abs=1e-6)
-        evidence = peaks_of(discovery).evidence
-        assert evidence is not None
-        assert [bag.ravel().tolist() for bag in evidence.positive] == [[10.0]] * 6
-
-    def test_few_ways_show_nothing(self) -> None:
-        discovery = Discovery(settings_of(min_passing=0.7))
-        for n in range(1, 4):
-            discovery.add(*on_a_line(0, 10, 60))
-            assert (discovery.search() is None) == (n < 3)
 
     @pytest.mark.parametrize("search", SEARCHES)
     def test_a_leak_lets_one_of_two_ways_count(self, search: str) -> None:
@@ -140,25 +140,12 @@ class TestSearch:
     def test_the_more_successes_there_are_the_rarer_are_searches(self, strength: float) -> None:
         """With a growth of a fifth, 2 new trajectories up to 10 successes, 3 up to 15. The first here is a failure."""
         discovery = Discovery(settings_of(search_growth=0.2, negative_strength=strength, threshold=0.99))
-        searched = []
-        for n in range(1, 16):
-            discovery.add(*on_a_line(0, 5, 20, success=n > 1))
-            spent = discovery.diary.spent
-            discovery.search()
-            searched += [n] if discovery.diary.spent > spent else []
-        assert searched == [1, 2, 3, 4, 5, 6, 8, 10, 13]
+        assert searches_of(discovery, [False, *[True] * 14])[0] == [1, 2, 3, 4, 5, 6, 8, 10, 13]
 
     def test_once_nothing_is_left_searches_are_rarer(self) -> None:
         """Only state 5 may be a subgoal. The share of new ones that a search waits for is 1 − 0.8⁵ after that."""
         discovery = Discovery(settings_of(search_growth=0.2, threshold=0.1, min_positive=1))
-        found, searched = [], []
-        for n in range(1, 26):
-            discovery.add(*on_a_line(0, 5, 20))
-            spent = discovery.diary.spent
-            found += [n] if discovery.search() is not None else []
-            searched += [n] if discovery.diary.spent > spent else []
-        assert found == [1]
-        assert searched == [1, 2, 7, 22]
+        assert searches_of(discovery, [True] * 25) == ([1, 2, 7, 22], [1])
 
 
 class TestWithoutDistances:
@@ -203,9 +190,7 @@ class TestNothingToFind:
 
     def test_failures_only(self) -> None:
         discovery = Discovery(settings_of())
-        for _ in range(20):
-            discovery.add(*on_a_line(0, 5, 20, success=False))
-            assert discovery.search() is None
+        assert searches_of(discovery, [False] * 20)[1] == []
         assert peaks_of(discovery).evidence is None
         assert peaks_of(discovery).peaks == []
 
@@ -223,9 +208,8 @@ class TestAdd:
     @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
     def test_features_that_are_not_finite(self, bad: float) -> None:
         discovery = Discovery(settings_of())
-        trajectory, features = on_a_line(0, 5, 20)
-        features = features.copy()
-        features[1] = bad
+        trajectory, _ = on_a_line(0, 5, 20)
+        features = np.array([[0.0], [bad], [20.0]])
         message = r"^a trajectory has rewards, features or observations that are NaN or infinite; .*check_finite"
         with pytest.raises(ValueError, match=message):
             discovery.add(trajectory, features)
