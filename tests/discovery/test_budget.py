@@ -10,7 +10,6 @@ import pytest
 
 from experiments.random_walks.conditions import run
 from sb3_options.density.groups import FeatureGroup
-from sb3_options.density.regions import Region
 from sb3_options.discovery.bags import FilteredBags
 from sb3_options.discovery.budget import SHORTEST, STEP_SECONDS, TABLE_STEP_SECONDS
 from sb3_options.discovery.diary import Diary
@@ -21,6 +20,7 @@ from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.state import restore, state_of
+from tests.discovery.told import Told, of
 
 
 def wide(n: int = 40, d: int = 300, seed: int = 0) -> tuple[Trajectory, np.ndarray]:
@@ -32,19 +32,19 @@ def wide(n: int = 40, d: int = 300, seed: int = 0) -> tuple[Trajectory, np.ndarr
 
 
 def costly(**settings: Any) -> Discovery:
-    settings = {"min_positive": 2, "min_passing": 0.0, "threshold": 0.9999999, "search": "exhaustive", **settings}
-    return Discovery(DiscoverySettings(**settings), kind="environment")
+    usual = {"min_positive": 2, "min_passing": 0.0, "threshold": 0.9999999, "search": "exhaustive", "max_share": 0.5}
+    return Discovery(DiscoverySettings(**{**usual, **settings}), kind="environment")
 
 
-def searches(discovery: Discovery, seed: int) -> bool:
+def searches(discovery: Discovery, seed: int, **size: int) -> bool:
     """Whether there is a search after another trajectory."""
-    discovery.add(*wide(seed=seed))
+    discovery.add(*wide(seed=seed, **size))
     skipped = discovery.diary.skipped
     discovery.search()
     return discovery.diary.skipped == skipped
 
 
-def searches_of(discovery: Discovery, n: int = 60) -> list[bool]:
+def searches_of(discovery: Discovery, n: int = 30) -> list[bool]:
     return [searches(discovery, seed) for seed in range(n)]
 
 
@@ -103,8 +103,7 @@ def test_bags_and_their_search_by_hand() -> None:
 
 def test_contrast_by_hand() -> None:
     """Two walks of eight states each; in two nothing stands out enough to be searched."""
-    groups = [FeatureGroup("one", (0,))]
-    discovery = Discovery(DiscoverySettings(min_positive=2), groups=groups)
+    discovery = Discovery(DiscoverySettings(min_positive=2), groups=[FeatureGroup("one", (0,))])
     for seed in range(2):
         discovery.add(*wide(n=8, d=2, seed=seed))
     discovery.search()
@@ -112,10 +111,14 @@ def test_contrast_by_hand() -> None:
 
 
 class TestSchedule:
-    def test_costly_searches_become_rarer(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    @pytest.fixture(autouse=True)
+    def _short(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Trainings of a few trajectories, so that the budget is soon spent."""
         monkeypatch.setattr("sb3_options.discovery.diary.SHORTEST", 1000)
-        discovery = costly(max_share=0.5)
-        made = searches_of(discovery)
+
+    def test_costly_searches_become_rarer(self) -> None:
+        discovery = costly()
+        made = searches_of(discovery, 60)
         assert all(made[:10])  # in advance
         assert 0 < sum(made[-40:]) < 10
         allowed = 0.5 * STEP_SECONDS * discovery.diary.steps
@@ -129,9 +132,8 @@ class TestSchedule:
         assert "left out" not in costly().why_nothing()
 
     def test_a_larger_share_affords_more(self) -> None:
-        assert all(searches_of(costly(max_share=None), 30))
-        few, more = (sum(searches_of(costly(max_share=share))) for share in (0.05, 1.0))
-        assert few < more
+        few, more, every = (sum(searches_of(costly(max_share=share))) for share in (0.05, 0.5, None))
+        assert few < more < every == 30
 
     def test_the_clock_decides_nothing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         made = searches_of(costly())
@@ -143,51 +145,34 @@ class TestSchedule:
 
     def test_a_state_goes_on_with_the_same_schedule(self) -> None:
         whole, cut, resumed = costly(), costly(), costly()
-        made = searches_of(whole, 40)
-        for seed in range(40):
-            discovery = cut if seed < 25 else resumed
-            if seed == 25:
-                restore(resumed, copy.deepcopy(state_of(cut)))
-            assert searches(discovery, seed) == made[seed]
+        made = searches_of(whole)
+        assert any(made[20:])
+        assert searches_of(cut, 20) == made[:20]
+        restore(resumed, copy.deepcopy(state_of(cut)))
+        assert [searches(resumed, seed) for seed in range(20, 30)] == made[20:]
         assert (resumed.diary.spent, resumed.diary.skipped) == (whole.diary.spent, whole.diary.skipped)
 
-    def test_groups_keep_to_it_too(self) -> None:
-        groups = [FeatureGroup(str(i), (i,)) for i in range(30)]
-        settings = DiscoverySettings(min_positive=2, max_share=0.05)
-        discovery = Discovery(settings, groups=groups)
-        for seed in range(150):
-            discovery.add(*wide(n=8, d=30, seed=seed))
-            discovery.search()
-        assert discovery.diary.skipped > 0
-        assert discovery.diary.spent < 0.1 * SHORTEST * STEP_SECONDS
 
-    @pytest.mark.parametrize("method", ["diverse-density", "relative-novelty"])
-    def test_where_searches_are_cheap_none_is_left_out(self, method: str) -> None:
-        some, every = (run("FourRooms", {"method": method, **more}, 0) for more in ({}, {"max_share": None}))
-        assert some | {"seconds": 0} == every | {"seconds": 0}
+def test_groups_keep_to_it_too() -> None:
+    groups = [FeatureGroup(str(i), (i,)) for i in range(30)]
+    discovery = Discovery(DiscoverySettings(min_positive=2, max_share=0.05), groups=groups)
+    assert not all(searches(discovery, seed, n=8, d=30) for seed in range(150))
+    assert discovery.diary.spent < 0.1 * SHORTEST * STEP_SECONDS
 
 
-class Slow:
-    """A method that says what it takes."""
-
-    def __init__(self, seconds: float) -> None:
-        self.n, self._seconds = 0, seconds
-
-    def update(self, experience: Experience) -> list[Region]:
-        self.n += 1
-        return []
-
-    def seconds(self, experience: Experience) -> float:
-        return self._seconds
+@pytest.mark.parametrize("method", ["diverse-density", "relative-novelty"])
+def test_where_searches_are_cheap_none_is_left_out(method: str) -> None:
+    some, every = (run("FourRooms", {"method": method, **more}, 0) for more in ({}, {"max_share": None}))
+    assert some | {"seconds": 0} == every | {"seconds": 0}
 
 
-class TestMethods:
-    @pytest.mark.parametrize(("seconds", "told"), [(0.0, 30), (0.1, 6)])
-    def test_a_method_is_not_told_what_would_cost_too_much(self, seconds: float, told: int) -> None:
-        method = Slow(seconds)
-        discovery = Discovery(DiscoverySettings(), method=method, kind="environment")
-        for seed in range(30):
-            discovery.add(*wide(n=8, d=2, seed=seed))
-            discovery.search()
-        assert method.n == told
-        assert discovery.diary.spent == pytest.approx(told * (seconds + 3.6e-4 + 7 * 5e-7 + 16 * 2e-8))
+@pytest.mark.parametrize(("seconds", "told"), [(0.0, 30), (0.1, 6)])
+def test_a_method_is_not_told_what_would_cost_too_much(seconds: float, told: int) -> None:
+    class Slow(Told):
+        def seconds(self, experience: Experience) -> float:
+            return seconds
+
+    method = Slow()
+    discovery = of(method)
+    assert sum(searches(discovery, seed, n=8, d=2) for seed in range(30)) == len(method.told) == told
+    assert discovery.diary.spent == pytest.approx(told * (seconds + 3.6e-4 + 7 * 5e-7 + 16 * 2e-8))

@@ -37,19 +37,37 @@ def usual() -> LabelledTrajectory:
     return lived([NOTHING, FAR, NEAR, FAR, NOTHING])
 
 
-def rare(*before: Sequence[float]) -> LabelledTrajectory:
-    return lived([NOTHING, *before, FAR, NEAR, BEHIND, NOTHING, BEHIND])
+def rare() -> LabelledTrajectory:
+    return lived([NOTHING, FAR, NEAR, BEHIND, NOTHING, BEHIND])
 
 
-def after(trajectories: Sequence[LabelledTrajectory], share: float = 0.5, enough: int = 3) -> Salience:
-    salience = Salience(GROUPS, share, enough)
+def success() -> LabelledTrajectory:
+    return lived([NOTHING, FAR, NEAR, BEHIND], success=True)
+
+
+def lives(n_usual: int, n_rare: int = 0, n_successes: int = 0) -> list[LabelledTrajectory]:
+    kinds = [usual] * n_usual + [rare] * n_rare + [success] * n_successes
+    return [kind() for kind in kinds]
+
+
+def after(trajectories: Sequence[LabelledTrajectory], share: float = 0.5) -> Salience:
+    return filled(Salience(GROUPS, share, 3), trajectories)
+
+
+def database_of(
+    trajectories: Sequence[LabelledTrajectory] = (), capacity: int = 100, share: float = 0.5
+) -> OutcomeDatabase:
+    return filled(OutcomeDatabase(capacity, np.inf, Salience(GROUPS, share, 3)), trajectories)
+
+
+def filled(holder: Any, trajectories: Sequence[LabelledTrajectory]) -> Any:
     for each in trajectories:
-        salience.add(each)
-    return salience
+        holder.add(each)
+    return holder
 
 
 def test_a_failure_counts_as_a_success_up_to_what_is_rare() -> None:
-    salience = after([usual() for _ in range(12)] + [rare() for _ in range(4)])
+    salience = after(lives(12, 4))
     part = salience.label(rare())
     assert part.success
     assert part.trajectory.visits.tolist() == [0, 1, 2, 3]
@@ -59,10 +77,8 @@ def test_a_failure_counts_as_a_success_up_to_what_is_rare() -> None:
     assert (part.trajectory.terminated, part.trajectory.truncated, part.trajectory.is_success) == (False, True, None)
     assert part.whole is not None
     assert (len(part.whole.trajectory), part.n_bytes) == (5, part.whole.n_bytes)
-    same, success, begins_there = usual(), lived([NOTHING, BEHIND], success=True), lived([BEHIND, NOTHING, BEHIND])
-    assert salience.label(same) is same
-    assert salience.label(success) is success
-    assert salience.label(begins_there) is begins_there
+    for same in (usual(), success(), lived([BEHIND, NOTHING, BEHIND])):
+        assert salience.label(same) is same
 
 
 def test_states_that_are_visited_again_keep_their_rows() -> None:
@@ -70,7 +86,7 @@ def test_states_that_are_visited_again_keep_their_rows() -> None:
     states = np.array([NOTHING, FAR, BEHIND, NEAR], dtype=np.float64)
     visits = np.array([0, 1, 0, 2, 1, 3])
     whole = Trajectory(states, visits, np.arange(5), np.zeros(5), False, True, False)
-    part = after([usual()] * 15 + [rare()]).label(LabelledTrajectory(whole, states, False))
+    part = after(lives(15, 1)).label(LabelledTrajectory(whole, states, False))
     assert (part.trajectory.visits.tolist(), len(part.features), len(part.trajectory.states)) == ([0, 1, 0, 2], 3, 3)
 
 
@@ -86,25 +102,22 @@ def test_states_that_are_visited_again_keep_their_rows() -> None:
     ],
 )
 def test_rare_is_what_few_of_many_come_upon(n_usual: int, n_rare: int, share: float, salient: bool) -> None:
-    salience = after([usual() for _ in range(n_usual)] + [rare() for _ in range(n_rare)], share)
+    salience = after(lives(n_usual, n_rare), share)
     assert salience.label(rare()).success == salient
     assert not salience.label(usual()).success  # a door is nothing rare, nor is a pair, or what is always there
 
 
 def test_with_enough_successes_nothing_is_rare_any_more() -> None:
-    lives = [usual() for _ in range(20)] + [lived([NOTHING, FAR, NEAR, BEHIND], success=True) for _ in range(2)]
-    salience = after(lives)
+    salience = after(lives(20, n_successes=2))
     assert salience.label(rare()).success
-    assert salience.add(lives[-1])
+    assert salience.add(success())
     assert not salience.label(rare()).success
     assert not any(salience.add(rare()) for _ in range(50))
 
 
 def test_the_database_labels_those_of_before_anew() -> None:
-    database = OutcomeDatabase(100, np.inf, Salience(GROUPS, 0.5, 3))
     early = rare()
-    for each in [early, *(usual() for _ in range(LEAST_TRAJECTORIES - 2))]:
-        database.add(each)
+    database = database_of([early, *lives(LEAST_TRAJECTORIES - 2)])
     assert (database.n_successful, database.n_entered) == (0, 0)
     database.add(usual())
     (part,) = (each for each in database if each.success)
@@ -112,8 +125,7 @@ def test_the_database_labels_those_of_before_anew() -> None:
     assert (len(database), database.n_entered) == (LEAST_TRAJECTORIES, 1)
     database.add(rare())
     assert (database.n_successful, database.n_entered) == (2, 2)
-    for _ in range(3):
-        database.add(lived([NOTHING, FAR, NEAR, BEHIND], success=True))
+    filled(database, lives(0, n_successes=3))
     assert database.n_successful == 3
     assert all(each.whole is None for each in database)
     assert any(each is early for each in database)
@@ -121,15 +133,11 @@ def test_the_database_labels_those_of_before_anew() -> None:
 
 
 def test_a_database_goes_on_with_its_state() -> None:
-    lives = [usual() for _ in range(20)] + [rare() for _ in range(6)]
-    database, other = (OutcomeDatabase(100, np.inf, Salience(GROUPS, 0.5, 3)) for _ in range(2))
-    for each in lives:
-        database.add(each)
+    database, other = database_of(lives(20, 6)), database_of()
     other.set_state(there_and_back(state_of(database)))
     assert sum(each.whole is not None for each in other) == 6
     for both in (database, other):
-        both.add(rare())
-        both.add(lived([NOTHING, BEHIND], success=True))
+        filled(both, lives(0, 1, 1))
     assert [each.success for each in database] == [each.success for each in other]
     assert (database.n_successful, database.n_entered) == (other.n_successful, other.n_entered) == (8, 8)
 
@@ -138,8 +146,7 @@ def why_nothing(n_rare: int, n_successes: int, **settings: Any) -> str:
     """After 16 that came upon nothing rare."""
     how = {"min_positive": 4, "salient_share": 0.5, "start_radius": 0, "goal_radius": 0}
     discovery = Discovery(DiscoverySettings(**{**how, **settings}), groups=GROUPS[:2])
-    lives = [usual() for _ in range(16)] + [rare() for _ in range(n_rare)]
-    for life in [*lives, *(lived([NOTHING, NEAR, BEHIND], success=True) for _ in range(n_successes))]:
+    for life in lives(16, n_rare, n_successes):
         discovery.add(life.trajectory, life.features)
     assert discovery.search() is None
     return discovery.why_nothing()
@@ -159,9 +166,7 @@ def test_why_nothing_counts_what_stands_for_successes() -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_subgoals_are_found_before_anything_succeeds(share: float, caplog: pytest.LogCaptureFixture) -> None:
-    settings = DiscoverySettings(
-        start_radius=0, goal_radius=0, min_positive=4, decay=0.5, threshold=0.5, salient_share=share
-    )
+    settings = DiscoverySettings(start_radius=0, goal_radius=0, decay=0.5, threshold=0.5, salient_share=share)
     discovery = Discovery(settings, groups=GROUPS[:2])
     rng = np.random.default_rng(0)
     for _ in range(80):
@@ -177,18 +182,14 @@ def test_subgoals_are_found_before_anything_succeeds(share: float, caplog: pytes
 
 def test_trajectories_that_are_labelled_anew_stay_in_the_order_in_which_they_came() -> None:
     """Else the failures that are kept would be those that came upon something rare."""
-    database = OutcomeDatabase(10, np.inf, Salience(GROUPS, 0.2, 3))
-    lives = [rare() if i in (0, 20) else usual() for i in range(40)]
-    lives += [lived([NOTHING, FAR, NEAR, BEHIND], success=True) for _ in range(3)]
-    for i, each in enumerate(lives):
-        if i == 30:  # a checkpoint lies between
-            other = OutcomeDatabase(10, np.inf, Salience(GROUPS, 0.2, 3))
-            other.set_state(there_and_back(state_of(database)))
-        database.add(each)
-        if i >= 30:
-            other.add(each)
+    every = [rare() if i in (0, 20) else usual() for i in range(40)] + lives(0, n_successes=3)
+    database = database_of(every[:30], 10, 0.2)
+    other = database_of((), 10, 0.2)
+    other.set_state(there_and_back(state_of(database)))  # a checkpoint lies between
+    for both in (database, other):
+        filled(both, every[30:])
     failures = [each for each in database if not each.success]
-    number = {id(each): i for i, each in enumerate(lives)}
+    number = {id(each): i for i, each in enumerate(every)}
     assert [number[id(each)] for each in failures] == list(range(30, 40))
     kept = [each for each in other if not each.success]
     assert len(kept) == 10
