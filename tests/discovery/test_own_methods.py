@@ -16,27 +16,21 @@ from sb3_options.discovery.settings import DiscoverySettings
 from tests.discovery.told import Told, line, of, searched
 
 
-class Failing(Told):
-    """Fails at its second trajectory."""
-
-    def update(self, experience: Experience) -> list[Region]:
-        super().update(experience)
-        if len(self.told) == 2:
-            raise ValueError("not this one")
-        return []
-
-
 def test_a_method_that_fails_goes_on_with_the_next_trajectory() -> None:
+    class Failing(Told):
+        def update(self, experience: Experience) -> list[Region]:
+            super().update(experience)
+            if len(self.told) == 2:
+                raise ValueError("not this one")
+            return []
+
     method = Failing()
     discovery = of(method)
-    for n in range(10, 14):
-        discovery.add(*line(n))
-        if n == 11:
-            with pytest.raises(RuntimeError, match=r"^Failing.update failed: not this one$"):
-                discovery.search()
-        else:
-            discovery.search()
-    assert [len(each.features) for each in method.told] == [10, 11, 12, 13]
+    searched(discovery, n_states=10)
+    with pytest.raises(RuntimeError, match=r"^Failing.update failed: not this one$"):
+        searched(discovery, n_states=11)
+    searched(discovery, n_states=12)
+    assert [len(each.features) for each in method.told] == [10, 11, 12]
 
 
 def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
@@ -54,8 +48,7 @@ def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
         method = Working()
         discovery = Discovery(DiscoverySettings(max_share=share), method=method, kind="environment")
         discovery.diary.step_seconds = TABLE_STEP_SECONDS
-        for _ in range(3):
-            searched(discovery)
+        searched(discovery, 3)
         told[share] = len(method.told)
     assert told == {0.05: 1, None: 3}
 
@@ -70,13 +63,13 @@ def test_methods_see_the_trajectory() -> None:
 
 
 class Giving:
-    """Proposes one thing."""
+    """Answers with one thing."""
 
-    def __init__(self, proposal: Any) -> None:
-        self.proposal = proposal
+    def __init__(self, answer: Any) -> None:
+        self.answer = answer
 
-    def update(self, experience: Experience) -> list[Region]:
-        return [self.proposal]
+    def update(self, experience: Experience) -> Any:
+        return self.answer
 
 
 @pytest.mark.parametrize(
@@ -90,17 +83,14 @@ class Giving:
     ],
 )
 def test_proposals_that_are_no_places_are_refused_and_others_taken_later(proposal: Region, message: str) -> None:
-    method = Giving(proposal)
+    method = Giving([proposal])
     discovery = of(method)
-    discovery.add(*line())
     with pytest.raises(ValueError, match=message):
-        discovery.search()
+        searched(discovery)
     assert discovery.search() is None
-    method.proposal = Region([[5]], np.ones(1), 0.5)  # type: ignore[arg-type]  # a list will do
-    discovery.add(*line())
-    found = discovery.search()
-    assert found is not None
-    assert found.contains(np.array([[5.0], [6.0]])).tolist() == [True, False]
+    method.answer = [Region([[5]], np.ones(1), 0.5)]  # type: ignore[arg-type]  # a list will do
+    assert searched(discovery) == [5.0]
+    assert discovery.found[0].subgoal.contains(np.array([[5.0], [6.0]])).tolist() == [True, False]
 
 
 def test_a_method_cannot_move_what_was_taken_nor_what_was_lived_through() -> None:
@@ -116,22 +106,15 @@ def test_a_method_cannot_move_what_was_taken_nor_what_was_lived_through() -> Non
             return [Region(self.mean[None], np.ones(1), 0.5), experience.region(self.mean), experience.region([5.0])]
 
     discovery = of(Moving())
-    for _ in range(2):
-        searched(discovery)
+    searched(discovery, 2)
     assert discovery.found[0].subgoal.points.tolist() == [[6.0]]
     assert line()[1].tolist() == next(iter(discovery.database)).features.tolist()
 
 
 @pytest.mark.parametrize("answer", [None, np.zeros((1, 1)), [3.0]])
 def test_answers_that_are_no_proposals_are_refused(answer: object) -> None:
-    class Odd:
-        def update(self, experience: Experience) -> object:
-            return answer
-
-    discovery = of(Odd())  # type: ignore[arg-type]  # that is refused
-    discovery.add(*line())
-    with pytest.raises(TypeError, match=r"^Odd.update must return a list of Region, got "):
-        discovery.search()
+    with pytest.raises(TypeError, match=r"^Giving.update must return a list of Region, got "):
+        searched(of(Giving(answer)))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from tests.discovery.told import Told, line, of, searched
 def test_the_first_proposal_that_is_far_enough_is_taken() -> None:
     method = Told(5.0, 6.0, 9.0)
     discovery = of(method, spacing=3.0)
-    assert [searched(discovery) for _ in range(4)] == [5.0, 9.0, None, None]
+    assert searched(discovery, 4) == [5.0, 9.0, None, None]
     assert [f.subgoal.points[0, 0] for f in discovery.found] == [5.0, 9.0]
     assert len(method.told) == 4
 
@@ -27,8 +27,7 @@ def test_the_first_proposal_that_is_far_enough_is_taken() -> None:
 def test_methods_are_told_what_may_be_a_subgoal() -> None:
     method = Told(6.0)
     discovery = of(method, start_radius=2.0, goal_radius=3.0, spacing=1.0)
-    for _ in range(2):
-        searched(discovery)
+    searched(discovery, 2)
     first, second = method.told
     assert np.flatnonzero(first.allowed).tolist() == [3, 4, 5, 6, 7]
     assert np.flatnonzero(second.allowed).tolist() == [3, 4]  # 5, 6 and 7 lie near the subgoal
@@ -38,22 +37,18 @@ def test_methods_are_told_what_may_be_a_subgoal() -> None:
 def test_a_scale_by_the_range_waits_for_trajectories() -> None:
     method = Told()
     discovery = of(method, kind="identity", min_positive=3)
-    assert [searched(discovery) for _ in range(3)] == [None] * 3
+    assert searched(discovery, 3) == [None] * 3
     assert len(method.told) == 3
     assert method.told[0].scale == pytest.approx(20 / 11)
 
 
-class OnlyAtFirst(Told):
-    """Proposes when it is told of its first trajectory, and never again."""
-
-    def update(self, experience: Experience) -> list[Region]:
-        proposals = super().update(experience)
-        return proposals if len(self.told) == 1 else []
-
-
 def test_what_was_proposed_of_trajectories_that_waited_is_not_lost() -> None:
-    discovery = of(OnlyAtFirst(5.0), kind="identity", min_positive=3)
-    assert [searched(discovery) for _ in range(3)] == [None, None, 5.0]
+    class OnlyAtFirst(Told):
+        def update(self, experience: Experience) -> list[Region]:
+            proposals = super().update(experience)
+            return proposals if len(self.told) == 1 else []
+
+    assert searched(of(OnlyAtFirst(5.0), kind="identity", min_positive=3), 3) == [None, None, 5.0]
 
 
 def test_without_distances_spacing_counts_steps() -> None:
@@ -75,8 +70,7 @@ def test_without_distances_spacing_counts_steps() -> None:
 
 
 def test_settings_name_a_method() -> None:
-    discovery = Discovery(DiscoverySettings(method="relative-novelty"))
-    assert isinstance(discovery.method, RelativeNovelty)
+    assert isinstance(Discovery(DiscoverySettings(method="relative-novelty")).method, RelativeNovelty)
     assert isinstance(Discovery().method, PersistentPeaks)
 
 
@@ -97,9 +91,7 @@ def test_why_nothing_tells_of_successes_where_the_method_needs_them(caplog: pyte
     """A method that needs none is not said to lack them."""
     novelty, places = of(RelativeNovelty()), of(RandomPlaces())
     for discovery in (novelty, places):
-        for _ in range(20):
-            discovery.add(*line(success=False))
-            discovery.search()
+        searched(discovery, 20, success=False)
     (said,) = [record.getMessage() for record in caplog.records]
     assert said.startswith("Discovery waits for a success: there was none in the first 20 episodes.")
     assert "RelativeNovelty proposed none" in novelty.why_nothing()
@@ -116,21 +108,19 @@ def test_there_is_no_lack_where_something_was_found() -> None:
 
 def test_what_no_option_could_be_learned_for_comes_again_and_blocks_nothing_near() -> None:
     discovery = of(Told(5.0, 6.0), spacing=3.0)
-    assert searched(discovery) == 5.0
+    assert searched(discovery) == [5.0]
     discovery.withdraw()
     state = state_of(discovery)  # with methods that tell
-    assert searched(discovery) == 5.0, "twice as many trajectories"
+    assert searched(discovery) == [5.0], "twice as many trajectories"
     discovery.withdraw()
-    assert searched(discovery) == 6.0, "so near to 5 that an option there would leave it out"
-    assert searched(discovery) is None
+    assert searched(discovery, 2) == [6.0, None], "so near to 5 that an option there would leave it out"
     restore(discovery, state)
-    assert (searched(discovery), len(discovery.found)) == (5.0, 1)
+    assert (searched(discovery), len(discovery.found)) == ([5.0], 1)
 
 
 def test_why_nothing_says_what_a_method_waits_for() -> None:
     discovery = of(RandomPlaces(min_successes=9))
-    for _ in range(3):
-        searched(discovery)
+    searched(discovery, 3)
     waits = "RandomPlaces waits for 9 successful episodes (min_successes), and 3 have ended."
     assert discovery.why_nothing() == f"No subgoal was discovered: {waits}"
 

@@ -29,18 +29,21 @@ class Told:
         pass
 
 
-def line(n: int = 12, *, success: bool = True) -> tuple[Trajectory, np.ndarray]:
-    states = np.arange(n, dtype=np.float64)[:, None]
-    visits = np.arange(n)
-    actions, rewards = np.zeros(n - 1, dtype=np.int64), np.zeros(n - 1)
-    return Trajectory(states, visits, actions, rewards, success, not success, success), states
+def line(n_states: int = 12, *, success: bool = True) -> tuple[Trajectory, np.ndarray]:
+    states = np.arange(float(n_states))[:, None]
+    steps = np.zeros(n_states - 1)
+    visits = np.arange(n_states)
+    return Trajectory(states, visits, steps.astype(np.int64), steps, success, not success, success), states
 
 
-def searched(discovery: Discovery) -> float | None:
-    """Where it finds a subgoal after one more trajectory."""
-    discovery.add(*line())
-    subgoal = discovery.search()
-    return None if subgoal is None else float(subgoal.points[0, 0])
+def searched(discovery: Discovery, n: int = 1, **changes: Any) -> list[float | None]:
+    """Where it finds a subgoal after each of ``n`` more trajectories."""
+    found: list[float | None] = []
+    for _ in range(n):
+        discovery.add(*line(**changes))
+        subgoal = discovery.search()
+        found.append(None if subgoal is None else float(subgoal.points[0, 0]))
+    return found
 
 
 def of(method: DiscoveryMethod, kind: str = "environment", **settings: float) -> Discovery:
