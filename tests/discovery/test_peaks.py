@@ -1,4 +1,4 @@
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ A, B = [0.0, 0.0], [5.0, 0.0]
 ONES = np.ones(2)
 
 
-def peaks(*points: list[float]) -> FloatArray:
+def peaks(*points: Sequence[float]) -> FloatArray:
     return np.array(points, dtype=np.float64).reshape(-1, 2)
 
 

@@ -1,7 +1,7 @@
 """What is rarely come upon stands for success until enough trajectories have succeeded."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -50,20 +50,21 @@ def lives(n_usual: int, n_rare: int = 0, n_successes: int = 0) -> list[LabelledT
     return [kind() for kind in kinds]
 
 
+Holder = TypeVar("Holder", Salience, OutcomeDatabase)
+
+
+def filled(holder: Holder, trajectories: Sequence[LabelledTrajectory]) -> Holder:
+    for each in trajectories:
+        holder.add(each)
+    return holder
+
+
 def after(trajectories: Sequence[LabelledTrajectory], share: float = 0.5) -> Salience:
     return filled(Salience(GROUPS, share, 3), trajectories)
 
 
-def database_of(
-    trajectories: Sequence[LabelledTrajectory] = (), capacity: int = 100, share: float = 0.5
-) -> OutcomeDatabase:
-    return filled(OutcomeDatabase(capacity, np.inf, Salience(GROUPS, share, 3)), trajectories)
-
-
-def filled(holder: Any, trajectories: Sequence[LabelledTrajectory]) -> Any:
-    for each in trajectories:
-        holder.add(each)
-    return holder
+def empty(capacity: int = 100, share: float = 0.5) -> OutcomeDatabase:
+    return OutcomeDatabase(capacity, np.inf, Salience(GROUPS, share, 3))
 
 
 def test_a_failure_counts_as_a_success_up_to_what_is_rare() -> None:
@@ -117,7 +118,7 @@ def test_with_enough_successes_nothing_is_rare_any_more() -> None:
 
 def test_the_database_labels_those_of_before_anew() -> None:
     early = rare()
-    database = database_of([early, *lives(LEAST_TRAJECTORIES - 2)])
+    database = filled(empty(), [early, *lives(LEAST_TRAJECTORIES - 2)])
     assert (database.n_successful, database.n_entered) == (0, 0)
     database.add(usual())
     (part,) = (each for each in database if each.success)
@@ -133,7 +134,7 @@ def test_the_database_labels_those_of_before_anew() -> None:
 
 
 def test_a_database_goes_on_with_its_state() -> None:
-    database, other = database_of(lives(20, 6)), database_of()
+    database, other = filled(empty(), lives(20, 6)), empty()
     other.set_state(there_and_back(state_of(database)))
     assert sum(each.whole is not None for each in other) == 6
     for both in (database, other):
@@ -183,8 +184,8 @@ def test_subgoals_are_found_before_anything_succeeds(share: float, caplog: pytes
 def test_trajectories_that_are_labelled_anew_stay_in_the_order_in_which_they_came() -> None:
     """Else the failures that are kept would be those that came upon something rare."""
     every = [rare() if i in (0, 20) else usual() for i in range(40)] + lives(0, n_successes=3)
-    database = database_of(every[:30], 10, 0.2)
-    other = database_of((), 10, 0.2)
+    database = filled(empty(10, 0.2), every[:30])
+    other = empty(10, 0.2)
     other.set_state(there_and_back(state_of(database)))  # a checkpoint lies between
     for both in (database, other):
         filled(both, every[30:])

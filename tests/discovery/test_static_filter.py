@@ -6,7 +6,7 @@ import pytest
 from sb3_options.discovery.filters import Filters
 from sb3_options.discovery.settings import DiscoverySettings
 from sb3_options.discovery.static_filter import near_start_and_goal, steps_from, steps_from_start_and_goal
-from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
+from tests.support.helpers import line
 
 
 class TestStaticFilter:
@@ -53,13 +53,10 @@ class TestSteps:
 class TestOfAUser:
     def kept(self, static_filter: Any) -> Any:
         """Of a walk along 1, 2, 3 and back to 2."""
-        features = np.array([[1.0], [2.0], [3.0]])
-        steps = np.zeros(3)
-        walk = Trajectory(features, np.array([0, 1, 2, 1]), steps.astype(int), steps, True, False, True)
         filters = Filters(DiscoverySettings(scale=10.0), static_filter)
-        labelled = LabelledTrajectory(walk, features, success=True)
-        filters.find_scale([labelled])
-        return filters.allowed(labelled)
+        walk = line([1, 2, 3, 2])
+        filters.find_scale([walk])
+        return filters.allowed(walk)
 
     def test_sees_scaled_features_of_the_start_and_the_last_state(self) -> None:
         seen: list[Any] = []

@@ -2,10 +2,10 @@
 
 import copy
 import dataclasses
-import functools
 import time
 from typing import Any
 
+import networkx as nx
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
@@ -17,28 +17,23 @@ from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.envs.gridworld.maps import FOUR_ROOMS, TWO_ROOMS
 from sb3_options.experience.trajectories import Trajectory
 from sb3_options.state import restore, state_of
-from tests.embedding.truth import distances, learned, path_graph, path_through, rank_correlation, rooms
+from tests.embedding.truth import distances, learned, path_through, rank_correlation, rooms, walked
 from tests.support.helpers import equal
 
 N = 20
-LINE = path_graph(N)
+LINE = walked(nx.path_graph(N), 2, 6000)
 EVERY = np.arange(N)
+TABLE = ObservationForm("table", (N,))
 
 
-@functools.cache
-def on_the_line() -> FeatureLearner:
-    return learned(LINE, updates=300)
+def new(form: ObservationForm = TABLE, seed: int = 0, **settings: Any) -> FeatureLearner:
+    return FeatureLearner(LearnedMap(form, seed), EmbeddingSettings(**settings), seed)
 
 
 def test_distances_on_a_line_are_in_steps() -> None:
-    learner = on_the_line()
-    away = distances(learner.map(EVERY))
+    away = distances(learned(LINE, updates=300).map(EVERY))
     assert rank_correlation(away, LINE.steps) > 0.97
     assert np.median(np.diagonal(away, 1)) == pytest.approx(1.0, abs=0.1)
-
-
-def test_temporal_distances_grow_with_the_steps_between() -> None:
-    away = distances(on_the_line().map(EVERY))
     means = [np.diagonal(away, k).mean() for k in range(1, N)]
     assert means == sorted(means)
     assert means[-1] > N / 2
@@ -52,7 +47,7 @@ def test_before_it_is_learned_no_distance_means_anything() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("text", [TWO_ROOMS, FOUR_ROOMS], ids=["TwoRooms", "FourRooms"])
 def test_rooms(text: str) -> None:
-    walk, _ = rooms(text)
+    walk = rooms(text)
     features = learned(walk, updates=1500).map(np.arange(len(walk.graph)))
     assert rank_correlation(distances(features), walk.steps) > 0.92
 
@@ -66,12 +61,7 @@ def test_one_seed_one_map() -> None:
 def test_a_state_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also between the pauses of one learning."""
     monkeypatch.setattr("sb3_options.embedding.learner.PAUSE_SECONDS", 0.007)
-
-    def new(seed: int) -> FeatureLearner:
-        form = ObservationForm("table", (N,))
-        return FeatureLearner(LearnedMap(form, seed), EmbeddingSettings(updates=10), seed)
-
-    one, other = new(0), new(1)
+    one, other = (new(seed=seed, updates=10) for seed in (0, 1))
     assert [one.learn(LINE.trajectories, 8, 1000 * i) for i in range(4)] == [False, False, True, False]
     restore(other, copy.deepcopy(state_of(one)))
     for each in (one, other):
@@ -85,7 +75,7 @@ def test_pictures_are_learned_for_less_than_a_second_in_a_thousand_steps() -> No
     """The map stays as it is until the last gradient step."""
     pictures = np.random.default_rng(0).integers(0, 256, (600, 4, 84, 84), dtype=np.uint8)
     walk = dataclasses.replace(path_through(list(range(600))), states=pictures)
-    learner = FeatureLearner(LearnedMap(ObservationForm("image", (4, 84, 84))), EmbeddingSettings(updates=5))
+    learner = new(ObservationForm("image", (4, 84, 84)), updates=5)
     before = learner.map.arrays()
     began = time.process_time()
     assert not learner.learn([walk], 8, 200)
@@ -98,16 +88,14 @@ def test_pictures_are_learned_for_less_than_a_second_in_a_thousand_steps() -> No
 
 
 def test_due_at_first_and_at_every_doubling() -> None:
-    learner = FeatureLearner(LearnedMap(ObservationForm("table", (N,))), EmbeddingSettings(updates=1))
-    assert not learner.is_due(7, 0)
-    assert learner.is_due(8, 0)
+    learner = new(updates=1)
+    assert [learner.is_due(n, 0) for n in (7, 8)] == [False, True]
     learner.learn(LINE.trajectories, 9, 0)
-    assert not learner.is_due(17, 0)
-    assert learner.is_due(18, 0)
+    assert [learner.is_due(n, 0) for n in (17, 18)] == [False, True]
 
 
 def test_where_nothing_moves_nothing_can_be_learned() -> None:
-    learner = FeatureLearner(LearnedMap(ObservationForm("table", (N,))), EmbeddingSettings())
+    learner = new()
     assert not learner.learn([path_through([3, 3, 3])], 1, 0)
     assert (learner.done, learner.map.learned) == (0, 0)
 
@@ -127,8 +115,8 @@ def corridor(unit: float) -> list[Trajectory]:
 
 @pytest.mark.parametrize("unit", [1.0, 1e6, 1e30])
 def test_numbers_in_other_units_take_nothing_from_each_other(unit: float) -> None:
-    learner = FeatureLearner(LearnedMap(ObservationForm("vector", (2,))), EmbeddingSettings())
-    while not learner.learn(corridor(unit), 8, 0):
+    learner, walks = new(ObservationForm("vector", (2,)), updates=200), corridor(unit)
+    while not learner.learn(walks, 8, 0):
         pass  # between two pauses
     places = np.arange(10.0)
     made = learner.map(np.stack([places, unit * ((3 * places) % 7)], axis=1))
@@ -137,23 +125,22 @@ def test_numbers_in_other_units_take_nothing_from_each_other(unit: float) -> Non
 
 
 def test_observations_that_are_not_finite_have_no_place() -> None:
-    learned_map = LearnedMap(ObservationForm("vector", (2,)))
-    made = learned_map(np.array([[0.0, 1.0], [np.inf, 1.0], [np.nan, 1.0], [0.0, 2.0]]))
+    made = LearnedMap(ObservationForm("vector", (2,)))(np.array([[0.0, 1.0], [np.inf, 1.0], [np.nan, 1.0], [0.0, 2.0]]))
     assert np.isfinite(made).all(axis=1).tolist() == [True, False, False, True]
 
 
 def test_a_map_that_diverges_stays_as_it_was() -> None:
-    learner = FeatureLearner(LearnedMap(ObservationForm("table", (N,))), EmbeddingSettings(updates=20))
+    learner = new(updates=20)
     learner.learn(LINE.trajectories, 8, 0)
-    before = learner.map(np.arange(N))
+    before = learner.map(EVERY)
     learner.settings = EmbeddingSettings(updates=20, learning_rate=1e30)
     with pytest.raises(ValueError, match=r"^the learned feature map diverged and stays as it was: try a lower learnin"):
         learner.learn(LINE.trajectories, 16, 0)
-    assert np.array_equal(learner.map(np.arange(N)), before)
+    assert np.array_equal(learner.map(EVERY), before)
     assert not learner.is_due(31, 0)
     learner.settings = EmbeddingSettings(updates=20)
     learner.learn(LINE.trajectories, 32, 0)
-    assert np.isfinite(learner.map(np.arange(N))).all()
+    assert np.isfinite(learner.map(EVERY)).all()
 
 
 @pytest.mark.parametrize(

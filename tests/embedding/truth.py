@@ -11,23 +11,16 @@ from sb3_options.embedding.encoders import ObservationForm
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.embedding.learner import FeatureLearner
 from sb3_options.embedding.settings import EmbeddingSettings
-from sb3_options.envs.gridworld.grid_map import Cell, GridMap
+from sb3_options.envs.gridworld.grid_map import GridMap
 from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import Trajectory
 
 
 class Walked(NamedTuple):
-    """A graph, and a random walk in it.
-
-    Attributes:
-        graph: Its nodes are numbered; a node with fewer than ``degree`` edges is stayed in instead.
-        trajectories: Of the walk; observations are the nodes' numbers.
-        degree: Of a node where no wall is.
-    """
+    """A graph of numbered nodes, and random walks in it."""
 
     graph: nx.Graph
-    trajectories: list[Trajectory]
-    degree: int
+    trajectories: list[Trajectory]  # observations are the nodes' numbers
 
     @property
     def steps(self) -> FloatArray:
@@ -35,9 +28,12 @@ class Walked(NamedTuple):
         return np.array(nx.floyd_warshall_numpy(self.graph))
 
 
-def walked(graph: nx.Graph, degree: int, n_steps: int, seed: int, n_trajectories: int = 8) -> Walked:
-    """Random walks that begin anywhere and end after so many steps together."""
-    rng = np.random.default_rng(seed)
+def walked(graph: nx.Graph, degree: int, n_steps: int, n_trajectories: int = 8) -> Walked:
+    """Random walks that begin anywhere and end after so many steps together.
+
+    A node with fewer than ``degree`` edges is stayed in instead.
+    """
+    rng = np.random.default_rng(0)
     neighbours = [[*graph[node], *[node] * (degree - len(graph[node]))] for node in range(len(graph))]
     trajectories = []
     for _ in range(n_trajectories):
@@ -45,7 +41,7 @@ def walked(graph: nx.Graph, degree: int, n_steps: int, seed: int, n_trajectories
         for choice in rng.integers(degree, size=n_steps // n_trajectories):
             at.append(neighbours[at[-1]][choice])
         trajectories.append(path_through(at))
-    return Walked(graph, trajectories, degree)
+    return Walked(graph, trajectories)
 
 
 def path_through(nodes: Sequence[int]) -> Trajectory:
@@ -53,18 +49,12 @@ def path_through(nodes: Sequence[int]) -> Trajectory:
     states, first, visits = np.unique(nodes, return_index=True, return_inverse=True)
     order = np.argsort(first)
     n = len(nodes) - 1
-    return Trajectory(
-        states[order], np.argsort(order)[visits], np.zeros(n, dtype=np.int64), np.zeros(n), False, True, None
-    )
+    visits = np.argsort(order)[visits]
+    return Trajectory(states[order], visits, np.zeros(n, dtype=np.int64), np.zeros(n), False, True, None)
 
 
-def path_graph(n: int, n_steps: int = 6000, seed: int = 0) -> Walked:
-    """A walk on a line of n nodes."""
-    return walked(nx.path_graph(n), 2, n_steps, seed)
-
-
-def rooms(text: str, n_steps: int = 30_000, seed: int = 0) -> tuple[Walked, dict[Cell, int]]:
-    """A walk in a gridworld, and the node of each of its cells."""
+def rooms(text: str) -> Walked:
+    """A walk in a gridworld, whose cells are the nodes."""
     grid = GridMap.parse(text, None, None)
     cells = [(x, y) for y in range(grid.height) for x in range(grid.width) if not grid.walls[y, x]]
     number = {cell: i for i, cell in enumerate(cells)}
@@ -72,7 +62,7 @@ def rooms(text: str, n_steps: int = 30_000, seed: int = 0) -> tuple[Walked, dict
     graph.add_nodes_from(range(len(cells)))
     for x, y in cells:
         graph.add_edges_from((number[x, y], number[c]) for c in ((x + 1, y), (x, y + 1)) if c in number)
-    return walked(graph, 4, n_steps, seed), number
+    return walked(graph, 4, 30_000)
 
 
 def learned(walk: Walked, seed: int = 0, **settings: float) -> FeatureLearner:

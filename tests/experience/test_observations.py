@@ -5,19 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sb3_options.experience.observations import (
-    Observations,
-    batch_of_one,
-    batch_size,
-    concatenate,
-    copy_of,
-    flatten,
-    key_of,
-    keys_of,
-    replaced,
-    stack,
-    take,
-)
+from sb3_options.experience import observations as obs
+from sb3_options.experience.observations import Observations, key_of, stack, take
 
 ARRAYS = [np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]]), np.array([[5.0, 6.0]])]
 DICTS = [{"b": np.array([i, i + 1]), "a": np.array(10 * i)} for i in range(3)]
@@ -33,10 +22,10 @@ def same(left: Observations, right: Observations) -> bool:
 @pytest.mark.parametrize("observations", [[0, 1, 2], ARRAYS, DICTS])
 def test_stack_take_concatenate_and_batch_of_one_agree(observations: list[Any]) -> None:
     batch = stack(observations)
-    assert batch_size(batch) == 3
-    assert same(concatenate([batch_of_one(o) for o in observations]), batch)
+    assert obs.batch_size(batch) == 3
+    assert same(obs.concatenate([obs.batch_of_one(o) for o in observations]), batch)
     assert same(take(batch, np.array([2, 0])), stack([observations[2], observations[0]]))
-    assert same(take(batch, slice(1, 2)), batch_of_one(observations[1]))
+    assert same(take(batch, slice(1, 2)), obs.batch_of_one(observations[1]))
 
 
 @pytest.mark.parametrize(
@@ -49,14 +38,13 @@ def test_stack_take_concatenate_and_batch_of_one_agree(observations: list[Any]) 
     ],
 )
 def test_flatten(observations: Observations, expected: list[list[float]]) -> None:
-    flat = flatten(observations)
+    flat = obs.flatten(observations)
     assert flat.dtype == np.float64
     np.testing.assert_array_equal(flat, expected)
 
 
 def test_keys_are_equal_exactly_if_observations_are() -> None:
-    distinct: list[Any] = [0, 1, -1]
-    assert len({key_of(o) for o in distinct}) == 3
+    assert len({key_of(o) for o in (0, 1, -1)}) == 3
     assert key_of(np.int64(3)) == key_of(3)
     assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
     assert key_of({"a": 1, "b": 2}) != key_of({"a": 2, "b": 1})
@@ -67,14 +55,14 @@ def test_keys_are_equal_exactly_if_observations_are() -> None:
     "observations", [[0, 1, 1], ARRAYS, DICTS, [np.zeros(0)] * 2, [np.asfortranarray(np.eye(2)), np.ones((2, 2))]]
 )
 def test_keys_of_a_batch_are_those_of_each(observations: list[Any]) -> None:
-    assert keys_of(stack(observations)) == [key_of(each) for each in observations]
-    assert keys_of(take(stack(observations), slice(0, 0))) == []
+    assert obs.keys_of(stack(observations)) == [key_of(each) for each in observations]
+    assert obs.keys_of(take(stack(observations), slice(0, 0))) == []
 
 
 @pytest.mark.parametrize("observations", [[0, 1, 2], ARRAYS, DICTS])
 def test_replaced_rows_leave_the_batch_as_it_was(observations: list[Any]) -> None:
     batch = stack(observations)
-    changed = replaced(batch, [0, 2], stack([observations[1], observations[0]]))
+    changed = obs.replaced(batch, [0, 2], stack([observations[1], observations[0]]))
     assert same(changed, stack([observations[1], observations[1], observations[0]]))
     assert same(batch, stack(observations))
 
@@ -82,6 +70,6 @@ def test_replaced_rows_leave_the_batch_as_it_was(observations: list[Any]) -> Non
 @pytest.mark.parametrize("kind", [dict, OrderedDict, MappingProxyType])
 def test_a_copy_does_not_change_with_the_original(kind: Any) -> None:
     array = np.array([1.0, 2.0])
-    copied, copied_dict = copy_of(array), copy_of(kind({"a": array}))
+    copied, copied_dict = obs.copy_of(array), obs.copy_of(kind({"a": array}))
     array[:] = 0.0
     assert copied.tolist() == copied_dict["a"].tolist() == [1.0, 2.0]

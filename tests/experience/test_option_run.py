@@ -34,10 +34,7 @@ def test_a_users_own_environment_need_only_say_duration_and_discount() -> None:
 @pytest.mark.parametrize(
     ("info", "message"),
     [
-        (
-            {},
-            r'^There is no info\["option"\]: wrap the environment in OptionsWrapper, or, .+"discount": gamma\*\*k}\.$',
-        ),
+        ({}, r'^There is no info\["option"\]: wrap the environment in OptionsWrapper, or, .+"discount": gamma\*\*k}\.'),
         ({"option": "left"}, r'^info\["option"\] must be a dict with a positive "duration" .+ got \'left\': let '),
         ({"option": {"index": 3}}, r"got \{'index': 3\}: let the environment's step leave"),
         ({"option": {"duration": 0, "discount": 0.9}}, "got {'duration': 0"),

@@ -16,16 +16,12 @@ def ended(recorder: TrajectoryRecorder, **kwargs: Any) -> Trajectory:
     return recorder.finished[-1]
 
 
-def record(observations: list[Any], actions: list[int]) -> TrajectoryRecorder:
-    recorder = TrajectoryRecorder()
-    recorder.begin(observations[0])
-    for action, observation in zip(actions, observations[1:], strict=True):
-        recorder.record(action, 10.0 * action, observation)
-    return recorder
-
-
 def test_each_distinct_observation_is_stored_once_in_order_of_first_visit() -> None:
-    trajectory = ended(record([7, 3, 7, 5, 3], [1, 0, 2, 1]), is_success=True)
+    recorder = TrajectoryRecorder()
+    recorder.begin(7)
+    for action, observation in ((1, 3), (0, 7), (2, 5), (1, 3)):
+        recorder.record(action, 10.0 * action, observation)
+    trajectory = ended(recorder, is_success=True)
     assert np.asarray(trajectory.states).tolist() == [7, 3, 5]
     assert trajectory.visits.tolist() == [0, 1, 0, 2, 1]
     assert trajectory.actions.tolist() == [1, 0, 2, 1]

@@ -1,7 +1,8 @@
 """Each method against an oracle, or on experience whose bottleneck is known."""
 
+import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import networkx as nx
@@ -15,36 +16,18 @@ from sb3_options.discovery.methods.method import Experience
 from sb3_options.discovery.methods.random_places import RandomPlaces
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
 from sb3_options.discovery.peaks import MOST_TIED
-from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
-from sb3_options.experience.trajectories import LabelledTrajectory, Trajectory
-
-NUMBERS = [-1e9, -2.0, -1.0, -0.0, 0.0, 1.0, 3.0, 1e9]
+from sb3_options.experience.observations import FloatArray, IntArray
+from tests.support.helpers import line
 
 
-def lived_through(
-    features: FloatArray,
-    visits: IntArray,
-    *,
-    success: bool = True,
-    allowed: BoolArray | None = None,
-    scale: float = 1.0,
+def experience(
+    places: Sequence[float] | IntArray, *, success: bool = True, allowed: Any = None, scale: float = 1.0
 ) -> Experience:
-    """A trajectory of these features."""
-    steps = np.zeros(len(visits) - 1)
-    trajectory = Trajectory(features, visits, steps.astype(np.int64), steps, success, not success, success)
-    may_be = np.ones(len(features), dtype=bool) if allowed is None else allowed
-    scales = np.full(features.shape[1], scale)
-    return Experience(LabelledTrajectory(trajectory, features, success), lambda: may_be, scale=scales, radius=0.5)
-
-
-def experience(visits: list[int] | IntArray, **changes: Any) -> Experience:
-    """Places 0, 1, 2 … on a line, in order of first visit."""
-    numbers = np.asarray(visits)
-    _, first = np.unique(numbers, return_index=True)
-    names = numbers[np.sort(first)]
-    rows = np.searchsorted(np.sort(names), numbers)
-    order = np.argsort(names)
-    return lived_through(names[:, None].astype(np.float64), order[rows], **changes)
+    """A trajectory through places on a line."""
+    lived = line([float(place) for place in places], is_success=success)
+    lived = dataclasses.replace(lived, success=success)
+    may_be = np.ones(len(lived.features), dtype=bool) if allowed is None else np.array(allowed)
+    return Experience(lived, lambda: may_be, scale=np.full(1, scale), radius=0.5)
 
 
 def dumbbell(random: np.random.Generator, n: int = 400) -> Experience:
@@ -59,8 +42,7 @@ def dumbbell(random: np.random.Generator, n: int = 400) -> Experience:
 
 class TestExperience:
     def test_states_that_differ_by_less_than_a_unit_are_one_place(self) -> None:
-        allowed = np.array([True, False, True])
-        lived = lived_through(np.array([[0.0], [0.4], [2.0]]), np.array([0, 1, 2, 1]), allowed=allowed)
+        lived = experience([0.0, 0.4, 2.0, 0.4], allowed=[True, False, True])
         assert lived.places.points.tolist() == [[0.0], [2.0]]
         assert lived.places.visits.tolist() == [0, 0, 1, 0]
         assert lived.places.allowed.tolist() == [False, True]
@@ -92,22 +74,18 @@ class TestRelativeNovelty:
         assert RelativeNovelty(lag=3).update(experience([0, 1, 2] * 30)) == []
 
     def test_a_short_trajectory_says_nothing(self) -> None:
-        method = RelativeNovelty()
-        assert method.update(experience([0, 1, 2])) == []
-        told = experience([0, 1, 2])
-        assert RelativeNovelty().update(lived_through(np.repeat(told.features, 3, axis=1), told.visits)) == []
+        assert RelativeNovelty().update(experience([0, 1, 2])) == []
 
 
 class TestVisits:
     def test_the_place_that_most_successes_visit(self) -> None:
         method = FirstVisits(min_successes=3)
-        proposed: list[list[float]] = []
+        proposed = []
         for i in range(40):
-            way = [10 * (i % 7) + 200, 5, 10 * (i % 5) + 400]
-            proposed.append([float(r.points[0, 0]) for r in method.update(experience(way))])
+            proposed.append(method.update(experience([10 * (i % 7) + 200, 5, 10 * (i % 5) + 400])))
             assert method.update(experience([77, 78, 79], success=False)) == []
         assert proposed[0] == []
-        assert proposed[-1] == [5.0]
+        assert [float(r.points[0, 0]) for r in proposed[-1]] == [5.0]
 
     def test_returns_do_not_count(self) -> None:
         method = FirstVisits(min_successes=1)
