@@ -10,8 +10,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-LONGEST_KEY = 64
-"""Longest key, in bytes, that is kept as it is."""
+LONGEST_KEY = 64  # bytes; a longer one is replaced by a digest
 
 
 def row_keys(rows: NDArray[Any]) -> list[bytes]:
@@ -27,5 +26,5 @@ def distinct_rows(rows: NDArray[Any]) -> NDArray[Any]:
 
 
 def short_key(key: bytes) -> bytes:
-    """Return the key, or if it is longer than `LONGEST_KEY`, a digest to save memory."""
+    """Return the key, or if it is longer than ``LONGEST_KEY``, a digest to save memory."""
     return key if len(key) <= LONGEST_KEY else blake2b(key, digest_size=16).digest()

@@ -30,12 +30,8 @@ from sb3_options.state import storable
 
 POINT = Point("fixed")
 
-APART = 0.9
-"""If successive instances lie at least this many widths apart, no other point ties with them."""
-
-APART_BY = 0.5
-"""A peak this close to a better one is merged into it, in parameters: for points, in widths."""
-
+APART = 0.9  # if successive instances lie at least this many widths apart, no other point ties with them
+APART_BY = 0.5  # a peak this close to a better one is merged into it, in parameters: for points, in widths
 TIED = 1e-9  # points tie if their log densities differ by less than this, in nats
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -44,12 +40,10 @@ ASCENDING = 8  # points that ascend in a gradient search
 ASCENT_STEPS = 12  # its maximum evaluations
 SORTING_STEPS = 3  # its evaluations after which close points merge
 ARRIVED = 1e-5  # it ends when two successive steps gain less than this share of the log density, or of 1 nat
-
 SHORTLIST = 32  # points that it evaluates on all bags; more as long as instances × points are below `SHORTLIST_PAIRS`
 SHORTLIST_PAIRS = 1 << 20
 SAMPLED_BAGS = 3  # the shortlist is chosen on this many bags of each sign,
 PROMISING = 8  # then one point in this many on this many times more bags
-
 FIRST_STEPS = 20  # a thorough search thins out its starts after every so many evaluations,
 SURVIVORS = 4  # keeping one in this many
 FINAL_STEPS = 500  # maximum evaluations of the finalists in each precision
@@ -146,7 +140,7 @@ class DiverseDensity:
                 Other searches use them instead of the instances of positive bags.
 
         Returns:
-            The peaks, prior included, no two within `APART_BY`. An exhaustive search returns the points that tie for
+            The peaks, prior included, no two within ``APART_BY``. An exhaustive search returns the points that tie for
             the maximum, in their order.
 
         Raises:
@@ -174,7 +168,7 @@ class DiverseDensity:
         """Return peaks that need no search: without negative bags, a point in every bag has the maximum density 1.
 
         Each positive bag (n_i, d) has its instances in order of visit. From the same starts `search` finds the same
-        peaks. The result is empty if instances lie closer than `APART`: points between them then have density 1 too.
+        peaks. The result is empty if instances lie closer than ``APART``: points between them then have density 1 too.
         """
         scale = self._scale(positive[0].shape[1])
         longest = max(positive, key=len)

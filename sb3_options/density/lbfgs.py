@@ -14,9 +14,7 @@ SUFFICIENT = 1e-4  # Armijo's constant: required share of the decrease that the 
 SHORTEN = 0.3  # factor for a step that did not decrease enough
 CURVED = 1e-8  # a pair with s·y below this times y·y tells nothing about curvature
 SHORTEST = 1e-10  # a start with a shorter step has converged, as far as this precision can tell
-
-FINEST = 8
-"""Rounding error of an objective, in units of the precision."""
+FINEST = 8  # rounding error of an objective, in units of the precision
 
 Objective = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Parameters (P, S) → values (S,) to be minimised and gradients (P, S)."""
@@ -30,7 +28,7 @@ class BatchedLBFGS:
 
     Unless ``curvature`` is given, the first step has length 1 at most. A start has converged when two accepted steps in
     a row change its value by less than ``tolerance`` times ``max(1, |value|)``, when no free component of its gradient
-    exceeds the tolerance, or when no step, however short, decreases the value. The tolerance is at least `FINEST`
+    exceeds the tolerance, or when no step, however short, decreases the value. The tolerance is at least ``FINEST``
     times the precision, because a smaller decrease is rounding.
     """
 

@@ -9,8 +9,7 @@ from sb3_options.density.arrays import BoolArray, FloatArray
 from sb3_options.density.bags import check_finite, real_array
 from sb3_options.density.groups import FeatureGroup
 
-PRESENT_SCALE = 10.0
-"""Distance between present and absent, in scaled units: more than any radius."""
+PRESENT_SCALE = 10.0  # distance between present and absent, in scaled units: more than any radius
 
 # A thing without coordinates is context if it occurs in this share of the trajectories. An occurrence in every episode
 # is no bottleneck, but a policy may need to see it: a wall ahead, for instance.
@@ -87,7 +86,7 @@ def _coordinates(features: FloatArray) -> dict[int, list[int]]:
 
 
 def _units(walks: Sequence[FloatArray], features: FloatArray) -> FloatArray:
-    """Return a scale for each feature, (d,): `PRESENT_SCALE` for a thing, else one over a small change in one step."""
+    """Return a scale per feature, (d,): ``PRESENT_SCALE`` for a thing, else one over a small change in one step."""
     values = np.abs(features).max(axis=0)
     changes = np.abs(np.concatenate([np.diff(walk, axis=0) for walk in walks]))
     units = np.ones(features.shape[1])

@@ -80,7 +80,7 @@ class BagMaker:
         return FilteredBags(positive_bags, [bag for bag in negative if len(bag)])
 
     def cuts_off(self, instance: FloatArray) -> bool:
-        """Whether an instance (d,) is known to cut off its surroundings: `make` dropped those below `MIN_CUT`."""
+        """Whether an instance (d,) is known to cut off its surroundings: `make` dropped those below ``MIN_CUT``."""
         return self.cuts is not None and bool(self.cuts.are_known(instance[None])[0])
 
     def visited(self, labelled: LabelledTrajectory) -> None:

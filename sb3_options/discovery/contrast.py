@@ -13,17 +13,10 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 from sb3_options.experience.trajectories import LabelledTrajectory
 
-MIN_CONTRAST = 0.3
-"""Least contrast of an instance."""
-
+MIN_CONTRAST = 0.3  # least contrast of an instance
 MAX_START_SHARE = 0.5  # a state where more than this share of the trajectories begin is no place to reach
-
-PAIR_GAIN = 0.1
-"""A state's contrast in a group must exceed its contrast in any part of the group by this much."""
-
-NO_PLACE = -1.0
-"""Contrast of a state that is not a place of the group. No place has less."""
-
+PAIR_GAIN = 0.1  # a state's contrast in a group must exceed its contrast in any part of the group by this much
+NO_PLACE = -1.0  # contrast of a state that is not a place of the group; no place has less
 ABSENT = -2.0  # contrast of an absent state: none of the current trajectories visited it
 MAX_FORMER_STATES = 1000  # absent states are forgotten once they outnumber the present ones by more than this
 
@@ -98,7 +91,7 @@ class Contrast:
         return int((self._values > ABSENT).sum()) - 1
 
     def largest(self) -> float:
-        """Return the largest contrast of all states, `NO_PLACE` without any."""
+        """Return the largest contrast of all states, ``NO_PLACE`` without any."""
         return float(self._values.max())
 
     def of_visited(self, labelled: LabelledTrajectory) -> FloatArray:
@@ -107,7 +100,7 @@ class Contrast:
         return values
 
     def stands_out(self, labelled: LabelledTrajectory) -> BoolArray:
-        """Which states, (m,), have `MIN_CONTRAST`, and `PAIR_GAIN` more than in each part of the group."""
+        """Which states, (m,), have ``MIN_CONTRAST``, and ``PAIR_GAIN`` more than in each part of the group."""
         values = self.of_visited(labelled)
         enough: BoolArray = values >= MIN_CONTRAST
         for part in self.parts if enough.any() else ():

@@ -7,10 +7,7 @@ from sb3_options.experience.observations import BoolArray, FloatArray, IntArray
 
 STEPS = 3  # the surroundings of a state are the states within this many steps
 MAX_STATES = 10_000  # in the graph; later states stay unknown
-
-MIN_CUT = 0.1
-"""Minimum share of its surroundings that an instance cuts off. A doorway cuts off a third or more, open floor none."""
-
+MIN_CUT = 0.1  # least share of its surroundings that an instance cuts off; a doorway cuts off a third, open floor none
 UNKNOWN = 0.5  # share of an unknown state: it is assumed to split its surroundings in two
 
 

@@ -24,15 +24,10 @@ from sb3_options.embedding.pairs import Replay
 from sb3_options.embedding.settings import EmbeddingSettings
 from sb3_options.experience.trajectories import Trajectory
 
-FIRST_TRAJECTORIES = 8
-"""Trajectories before the first training of the map: eight random walks visit most of two rooms."""
-
+FIRST_TRAJECTORIES = 8  # before the first training of the map: eight random walks visit most of two rooms
 MOST_STEPS = 20_000  # maximum number of steps whose median length becomes the unit
 STEPS_BETWEEN = 500  # primitive steps between two pauses for learning
-
-PAUSE_SECONDS = 0.4
-"""Nominal seconds of gradient steps in such a pause: in all, less than a second per thousand primitive steps."""
-
+PAUSE_SECONDS = 0.4  # nominal, in such a pause: in all, less than a second per thousand primitive steps
 UPDATE_SECONDS = 1.5e-3  # nominal seconds of a gradient step, measured on one core
 NUMBER_SECONDS = 8e-9  # and of each number in its observations
 SOFT = 1e-4  # added under the root, whose slope at 0 is infinite; exceeds the rounding of the matrix product
@@ -64,14 +59,14 @@ class FeatureLearner:
     def is_due(self, n_trajectories: int, n_steps: int) -> bool:
         """Whether to start or continue learning after this many trajectories and primitive steps.
 
-        Learning begins at `FIRST_TRAJECTORIES`, then at every doubling.
+        Learning begins at ``FIRST_TRAJECTORIES``, then at every doubling.
         """
         if self.done:
             return n_steps >= self._goes_on_at
         return n_trajectories >= max(FIRST_TRAJECTORIES, 2 * self.n_trajectories)
 
     def learn(self, trajectories: Iterable[Trajectory], n_trajectories: int, n_steps: int) -> bool:
-        """Take gradient steps on pairs from the saved trajectories, oldest first, for `PAUSE_SECONDS`.
+        """Take gradient steps on pairs from the saved trajectories, oldest first, for ``PAUSE_SECONDS``.
 
         The last gradient step replaces the map, and sets its scale. ``n_trajectories`` and ``n_steps`` include
         trajectories no longer saved. If weights are not finite, the map stays unchanged.

@@ -9,12 +9,11 @@ from sb3_options.embedding.encoders import Encoder, ObservationForm, as_tensor
 from sb3_options.experience.observations import batch_size, concatenate, keys_of, take
 from sb3_options.experience.trajectories import Trajectory
 
-MOST_BYTES = 32 << 20
-"""Maximum size of the trajectories that a map is learned from at once."""
+MOST_BYTES = 32 << 20  # of the trajectories that a map is learned from at once
 
 
 class Replay:
-    """The distinct observations of trajectories, or of a random part of them if they are larger than `MOST_BYTES`.
+    """The distinct observations of trajectories, or of a random part of them if they are larger than ``MOST_BYTES``.
 
     An observation that occurs repeatedly in a batch is encoded once: in a gridworld, encoding takes most of the time of
     learning from images.
@@ -84,7 +83,7 @@ class Replay:
 
 
 def _some(trajectories: list[Trajectory], generator: torch.Generator) -> list[Trajectory]:
-    """Draw trajectories of up to `MOST_BYTES` together, at least one, and keep their order."""
+    """Draw trajectories of up to ``MOST_BYTES`` together, at least one, and keep their order."""
     n_bytes = torch.tensor([each.n_bytes for each in trajectories])
     if n_bytes.sum() <= MOST_BYTES:
         return trajectories

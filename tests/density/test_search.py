@@ -1,16 +1,18 @@
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import ArrayLike
+from scipy.spatial.distance import pdist
 
 from sb3_options.density.arrays import FloatArray
 from sb3_options.density.bags import Bags
 from sb3_options.density.concepts import HalfSpace, Point
 from sb3_options.density.diverse_density import DiverseDensity
-from sb3_options.density.lbfgs import BatchedLBFGS
+from sb3_options.density.lbfgs import BatchedLBFGS, Objective
 from sb3_options.density.regions import Region
 from sb3_options.experience.observations import flatten
 from sb3_options.options.bank import OptionBank
@@ -30,43 +32,39 @@ def rosenbrock(theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return value, torch.stack([-2 * (1 - x) - 400 * x * (y - x * x), 200 * (y - x * x)])
 
 
+def descended(start: ArrayLike, steps: int, objective: Objective = rosenbrock, bounds: Any = FREE) -> BatchedLBFGS:
+    descent = BatchedLBFGS(objective, torch.tensor(start, dtype=torch.float64), bounds, tolerance=1e-14)
+    descent.run(steps)
+    return descent
+
+
 class TestBatchedLBFGS:
     def test_every_start_reaches_the_valley_floor(self) -> None:
-        start = torch.tensor([[-1.2, 0.0, 2.0, -3.0], [1.0, 0.0, -2.0, 5.0]], dtype=torch.float64)
-        descent = BatchedLBFGS(rosenbrock, start, FREE, tolerance=1e-14)
-        descent.run(300)
+        descent = descended([[-1.2, 0.0, 2.0, -3.0], [1.0, 0.0, -2.0, 5.0]], 300)
         assert descent.converged.all()
-        torch.testing.assert_close(descent.theta, torch.ones_like(start), atol=1e-5, rtol=0)
+        torch.testing.assert_close(descent.theta, torch.ones_like(descent.theta), atol=1e-5, rtol=0)
         assert descent.evaluations < 120
 
     def test_bounds_hold_and_the_rest_is_minimised(self) -> None:
-        low, high = torch.tensor([[-torch.inf], [-1.0]]), torch.tensor([[0.5], [torch.inf]])
-        descent = BatchedLBFGS(rosenbrock, torch.zeros(2, 1, dtype=torch.float64), (low, high), tolerance=1e-12)
-        descent.run(300)
+        bounds = torch.tensor([[-torch.inf], [-1.0]]), torch.tensor([[0.5], [torch.inf]])
+        descent = descended([[0.0], [0.0]], 300, bounds=bounds)
         torch.testing.assert_close(descent.theta[:, 0], torch.tensor([0.5, 0.25]).double(), atol=1e-6, rtol=0)
 
     def test_narrowing_forgets_nothing(self) -> None:
-        start = torch.tensor([[-1.2, 0.0, 2.0], [1.0, 0.0, -2.0]], dtype=torch.float64)
-        whole, part = (BatchedLBFGS(rosenbrock, start, FREE, tolerance=1e-14) for _ in range(2))
-        part.run(10)
+        start = [[-1.2, 0.0, 2.0], [1.0, 0.0, -2.0]]
+        whole, part = descended(start, 20), descended(start, 10)
         part.keep([2, 0], torch.float64)
         part.run(10)
-        whole.run(20)
         torch.testing.assert_close(part.theta, whole.theta[:, [2, 0]], rtol=1e-9, atol=1e-9)
 
     def test_too_few_steps_are_reported(self) -> None:
-        descent = BatchedLBFGS(rosenbrock, torch.tensor([[-1.2], [1.0]]).double(), FREE, tolerance=1e-12)
-        descent.run(5)
-        assert not descent.converged.any()
+        assert not descended([[-1.2], [1.0]], 5).converged.any()
 
     def test_an_infinite_start_takes_any_step_down(self) -> None:
         def objective(x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-            value = torch.where(x[0] > 1, torch.inf, x[0] ** 2)
-            return value, 2 * x
+            return torch.where(x[0] > 1, torch.inf, x[0] ** 2), 2 * x
 
-        descent = BatchedLBFGS(objective, torch.tensor([[1.5]]).double(), FREE, tolerance=1e-12)
-        descent.run(50)
-        assert descent.value.item() < 1e-12
+        assert descended([[1.5]], 50, objective).value.item() < 1e-12
 
 
 def slab(seed: int, n_negative: int = 0) -> Bags:
@@ -90,11 +88,8 @@ def test_a_planted_point_with_its_scale() -> None:
         assert np.linalg.norm(region.points[0] - [3, -2]) < 0.5
         assert region.contains(np.array([[3.0, -2.0], [9.0, 9.0]])).tolist() == [True, False]
         np.testing.assert_allclose(peaks[0].probability([[3.0, -2.0]]), 1, atol=0.3)
-        thetas = [
-            np.concatenate([peak.point * peak.scale, scale]) for peak, scale in zip(peaks, np.exp(scales), strict=True)
-        ]
-        for i, theta in enumerate(thetas):
-            assert all(np.linalg.norm(theta - other) > 0.5 for other in thetas[:i])
+        thetas = np.column_stack([[peak.point * peak.scale for peak in peaks], np.exp(scales)])
+        assert (pdist(thetas) > 0.5).all()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -116,14 +111,9 @@ def test_a_learned_scale_finds_the_feature_that_matters() -> None:
 
 @pytest.mark.parametrize("scales", ["one", "each"])
 def test_without_negative_bags_the_widest_concept_explains_everything(scales: Literal["one", "each"]) -> None:
-    free, bounded, default = (
-        DiverseDensity(concept=concept, method="thorough").search(slab(1))[0]
-        for concept in (
-            Point(scales, scale_bounds=(0, np.inf), prior_width=None),
-            Point(scales, scale_bounds=(0.5, 2.0), prior_width=None),
-            Point(scales),
-        )
-    )
+    without_bounds = Point(scales, scale_bounds=(0, np.inf), prior_width=None)
+    concepts = without_bounds, Point(scales, scale_bounds=(0.5, 2.0), prior_width=None), Point(scales)
+    free, bounded, default = (DiverseDensity(concept=concept).search(slab(1))[0] for concept in concepts)
     assert free.log_density == pytest.approx(0, abs=1e-6)
     assert free.region().scale[1] < 0.05
     assert bounded.region().scale[1] == pytest.approx(0.5)
@@ -194,11 +184,13 @@ def test_weak_negatives_tolerate_a_visit() -> None:
     rng = np.random.default_rng(3)
     positive = [np.vstack([rng.uniform(-10, 10, (10, 2)), [[3.0, -2.0]]]) for _ in range(15)]
     bags = Bags.pack(positive, [np.vstack([rng.uniform(-10, 10, (10, 2)), [[3.05, -2.0]]])])
-    strict, weak = (
-        DiverseDensity(method="thorough", negative_strength=strength).search(bags)[0] for strength in (1.0, 0.1)
-    )
-    assert np.linalg.norm(weak.region().points[0] - [3, -2]) < 0.05
-    assert np.linalg.norm(strict.region().points[0] - [3, -2]) > 0.2
+
+    def distance(strength: float) -> float:
+        best = DiverseDensity(method="thorough", negative_strength=strength).search(bags)[0]
+        return float(np.linalg.norm(best.region().points[0] - [3, -2]))
+
+    assert distance(0.1) < 0.05
+    assert distance(1.0) > 0.2
 
 
 @pytest.mark.parametrize("scales", ["fixed", "one"])

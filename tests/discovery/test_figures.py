@@ -27,27 +27,16 @@ from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
 from tests.discovery.drawn import all_of_them
 from tests.discovery.lines import peaks_of, said
-from tests.support.helpers import steady_option, trajectory_of
-from tests.support.sb3_helpers import n_colours, small_rooms
+from tests.support.helpers import steady_option
+from tests.support.sb3_helpers import n_colours, optioned_rooms
 
 DENSITY, VISITS = "log diverse density", "successful trajectories that visit"
 POLICY = "option policy: where the greedy action leads"
 
 
-def walks(n: int) -> list[Trajectory]:
+def walks() -> list[Trajectory]:
     """Random walks through the small rooms, as observed."""
-    env, rng = small_rooms(observation="xy"), np.random.default_rng(0)
-    found = []
-    for i in range(n):
-        observation, _ = env.reset(seed=i)
-        seen, actions, over, success = [observation], [], False, False
-        while not over:
-            actions.append(int(rng.integers(4)))
-            observation, _, terminated, truncated, _ = env.step(actions[-1])
-            seen.append(observation)
-            over, success = terminated or truncated, terminated
-        found.append(trajectory_of(seen, actions, terminated=success, is_success=success))
-    return found
+    return optioned_rooms(observation="xy").random_trajectories(30, 150, 0)
 
 
 @functools.cache
@@ -55,7 +44,7 @@ def discovered(kind: str | None, features: Callable[[Any], FloatArray]) -> tuple
     """Discovery over random walks, up to its first option."""
     discovery = Discovery(DiscoverySettings(min_positive=3, start_radius=0.5, goal_radius=1.5, decay=0.5), kind=kind)
     bank = OptionBank(4, 2)
-    for trajectory in walks(30):
+    for trajectory in walks():
         discovery.add(trajectory, features(np.asarray(trajectory.states, dtype=np.float64)))
         if bank.filled:
             continue
@@ -109,7 +98,7 @@ def test_without_a_leak_a_quarter_of_the_states_is_told_apart() -> None:
     discovery, bank = discovered("environment", xy)
     settings = dataclasses.replace(discovery.settings, leak=0.0, scale=4.0, start_radius=0.0, goal_radius=0.0)
     discovery = Discovery(settings, kind="environment")
-    for trajectory in walks(30):
+    for trajectory in walks():
         discovery.add(trajectory, xy(np.asarray(trajectory.states, dtype=np.float64)))
     discovery.search()
     shown = np.asarray(patches(maps(discovery, bank)[DENSITY]).get_array())

@@ -98,14 +98,9 @@ class DiscoveryMethod(Protocol):
     """
 
     def update(self, experience: Experience) -> Sequence[Region]:
-        """Take note of one more trajectory.
+        """Take note of one more trajectory. Return regions to reach, best first.
 
-        Args:
-            experience: The trajectory.
-
-        Returns:
-            Regions to reach, best first. The first one far enough from other subgoals is taken. A region may be
-            proposed again after the next trajectory.
+        The first one far enough from other subgoals is taken. A region may be proposed again after the next trajectory.
         """
         ...
 
