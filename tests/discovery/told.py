@@ -8,7 +8,9 @@ from sb3_options.density.regions import Region
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, Experience
 from sb3_options.discovery.settings import DiscoverySettings
+from sb3_options.experience.observations import FloatArray
 from sb3_options.experience.trajectories import Trajectory
+from tests.discovery.lines import on_a_line
 
 
 class Told:
@@ -29,11 +31,8 @@ class Told:
         pass
 
 
-def line(n_states: int = 12, *, success: bool = True) -> tuple[Trajectory, np.ndarray]:
-    states = np.arange(float(n_states))[:, None]
-    steps = np.zeros(n_states - 1)
-    visits = np.arange(n_states)
-    return Trajectory(states, visits, steps.astype(np.int64), steps, success, not success, success), states
+def line(n_states: int = 12, *, success: bool = True) -> tuple[Trajectory, FloatArray]:
+    return on_a_line(*range(n_states), success=success)
 
 
 def searched(discovery: Discovery, n: int = 1, **changes: Any) -> list[float | None]:
