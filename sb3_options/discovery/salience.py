@@ -1,7 +1,4 @@
-"""The database of discovery on feature groups, which keeps successes and failures apart.
-
-While few trajectories succeed, trajectories that meet a rare thing stand for successes.
-"""
+"""The database of discovery on feature groups: successes, or what stands for them, and failures apart."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace

@@ -63,22 +63,13 @@ class Encoder(nn.Module):
         shape = () if form.kind == "table" else form.shape
         self.register_buffer("shift", torch.zeros(shape))
         self.register_buffer("factor", torch.ones(shape))
-        self.layers: nn.Module
-        if form.kind == "table":
-            # Not straight to the output: rows that share no weights need several times as many gradient steps.
-            self.layers = nn.Sequential(
-                nn.Embedding(form.shape[0], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, size)
-            )
-        elif form.kind == "image":
+        if form.kind == "image":
             self.layers = _convolutions(form.shape, size)
         else:
-            self.layers = nn.Sequential(
-                nn.Linear(form.shape[0], HIDDEN),
-                nn.ReLU(),
-                nn.Linear(HIDDEN, HIDDEN),
-                nn.ReLU(),
-                nn.Linear(HIDDEN, size),
-            )
+            n = form.shape[0]
+            first = [nn.Embedding(n, HIDDEN)] if form.kind == "table" else [nn.Linear(n, HIDDEN), nn.ReLU()]
+            # From a table not straight to the output: rows that share no weights need many more gradient steps.
+            self.layers = nn.Sequential(*first, nn.Linear(HIDDEN, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, size))
 
     def standardise_by(self, batch: torch.Tensor) -> None:
         """Set mean and standard deviation of each number from a batch, in the layout of `as_tensor`."""

@@ -99,11 +99,8 @@ class TrajectoryDatabase:
     def __init__(self, capacity: int, max_bytes: float = math.inf) -> None:
         self.capacity = capacity
         self.max_bytes = max_bytes
-        self._trajectories: list[LabelledTrajectory] = []
-        self._n: Counter[bool] = Counter()  # by kind
-        self._n_bytes: Counter[bool] = Counter()
-        self.n_successful = 0
         self._warned = False
+        self._replace(())
 
     def kind(self, trajectory: LabelledTrajectory) -> bool:
         """Return the kind of a trajectory: each has its own capacity. Here all are of one kind."""
@@ -140,9 +137,9 @@ class TrajectoryDatabase:
     def _replace(self, trajectories: Iterable[LabelledTrajectory]) -> None:
         """Hold these trajectories instead."""
         every = list(trajectories)
-        self._trajectories = []
-        self._n.clear()
-        self._n_bytes.clear()
+        self._trajectories: list[LabelledTrajectory] = []
+        self._n: Counter[bool] = Counter()  # by kind
+        self._n_bytes: Counter[bool] = Counter()
         self.n_successful = 0
         for each in every:
             self._append(each)

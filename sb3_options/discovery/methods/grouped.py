@@ -35,9 +35,6 @@ class GroupedPeaks(Method):
     again_after = 0.0
 
     def __init__(self) -> None:
-        self._contrasts: list[Contrast] = []  # smaller groups first, because each group is compared with its parts
-        self._groups: tuple[FeatureGroup, ...] = ()
-        self._members: list[PersistentPeaks] = []  # in the order of the groups
         self._leading = 0
         self._searched = 0
         self._n_successful = 0
@@ -53,7 +50,7 @@ class GroupedPeaks(Method):
             parts = [c for part, c in contrasts.items() if set(part.features) < set(group.features)]
             radius = own.subgoal_radius / (own.scale or 1.0)
             contrasts[group] = Contrast(group, radius, parts)
-        self._contrasts = list(contrasts.values())
+        self._contrasts = list(contrasts.values())  # smaller groups first, as each group is compared with its parts
         self._groups = tuple(groups)
         self._members = [PersistentPeaks(contrasts[group]) for group in groups]
         for group, member in self.members.items():
