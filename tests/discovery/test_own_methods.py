@@ -53,15 +53,6 @@ def test_what_a_method_takes_that_does_not_say_is_measured() -> None:
     assert told == {0.05: 1, None: 3}
 
 
-def test_methods_see_the_trajectory() -> None:
-    method = Told()
-    discovery = of(method)
-    lived, features = line()
-    discovery.add(lived, features)
-    discovery.search()
-    assert method.told[0].trajectory is lived
-
-
 class Giving:
     """Answers with one thing."""
 

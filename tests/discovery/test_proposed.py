@@ -32,6 +32,7 @@ def test_methods_are_told_what_may_be_a_subgoal() -> None:
     assert np.flatnonzero(first.allowed).tolist() == [3, 4, 5, 6, 7]
     assert np.flatnonzero(second.allowed).tolist() == [3, 4]  # 5, 6 and 7 lie near the subgoal
     assert first.success
+    assert first.trajectory is next(iter(discovery.database)).trajectory
 
 
 def test_a_scale_by_the_range_waits_for_trajectories() -> None:
