@@ -114,7 +114,6 @@ class TestRules:
 @pytest.mark.parametrize("name", METHODS)
 def test_every_method_proposes_regions_around_what_was_seen(name: MethodName, rng: np.random.Generator) -> None:
     method = METHODS[name]()
-    proposed = []
     for _ in range(12):
         lived = experience([*rng.integers(0, 3, 60), 3, *range(10, 20)])
         proposed = method.update(lived)
