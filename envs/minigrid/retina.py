@@ -224,7 +224,7 @@ def feature_names(n_asked: int = 0) -> tuple[str, ...]:
 
 
 def concept_groups(n_asked: int = 0) -> list[dict[str, Any]]:
-    """Return the feature groups: each kind of thing, `PAIRS` of kinds, a doorway, and things of the mission.
+    """Return the feature groups: each kind of thing, ``PAIRS`` of kinds, a doorway, and things of the mission.
 
     Lava, which is to be avoided, has no group; its features are for groups of your own.
 

@@ -23,7 +23,7 @@ class NovelD(RandomNetworkDistillation):
 
     b = max(nov(s') − α nov(s), 0) · 1{N_episode(s') = 1}. Here nov is the root of the error of random network
     distillation, so a bonus is given on the border between known and new observations. Observations that are equal to
-    `DECIMALS` decimals are one. In continuous spaces hardly any are, so nearly every visit is a first one.
+    ``DECIMALS`` decimals are one. In continuous spaces hardly any are, so nearly every visit is a first one.
     """
 
     STATE = ("seen",)

@@ -150,7 +150,7 @@ class NetworkNovelty:
         return sum(len(first) for first, *_ in self._visited)
 
     def learn(self, *visited: torch.Tensor) -> None:
-        """Take a gradient step on `BATCH` visited observations, once there are as many; keep them until then."""
+        """Take a gradient step on ``BATCH`` visited observations, once there are as many; keep them until then."""
         self._visited.append(visited)
         if self.waiting < BATCH:
             return
@@ -207,7 +207,7 @@ class RandomNetworkDistillation(NetworkNovelty):
 
 
 def network(size: int, n_outputs: int, *, n_hidden: int) -> nn.Sequential:
-    """Return a network with hidden layers of `HIDDEN` units and orthogonal weights."""
+    """Return a network with hidden layers of ``HIDDEN`` units and orthogonal weights."""
     layers = nn.Sequential(*create_mlp(size, n_outputs, [HIDDEN] * n_hidden))
     return layers.apply(partial(BasePolicy.init_weights, gain=math.sqrt(2.0)))
 
