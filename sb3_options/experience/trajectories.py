@@ -64,11 +64,18 @@ class Trajectory:
 
 @storable
 class EpisodeRecord(NamedTuple):
-    """One episode of training, or one segment of a continuing task, in primitive steps."""
+    """One episode of training, or one segment of a continuing task, in primitive steps.
 
-    timestep: int  # primitive steps taken, of all environments, when it ended
-    total_reward: float  # undiscounted
-    success: bool  # by the callback's rule
+    Attributes:
+        timestep: Primitive steps taken, of all environments, when it ended.
+        total_reward: Undiscounted sum of rewards.
+        success: Success by the callback's rule.
+        steps: Length.
+    """
+
+    timestep: int
+    total_reward: float
+    success: bool
     steps: int
 
 

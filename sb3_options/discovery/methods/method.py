@@ -79,12 +79,19 @@ class Experience:
 
 
 class Places(NamedTuple):
-    """The distinct places of a trajectory."""
+    """The distinct places of a trajectory.
 
-    points: FloatArray  # one state of each place, (k, d)
-    bins: FloatArray  # whole numbers, (k, d)
-    visits: IntArray  # row of ``points`` at every time, (T + 1,)
-    allowed: BoolArray  # whether all states of a place may be subgoals, (k,)
+    Attributes:
+        points: One state of each place, (k, d).
+        bins: Bin of each place, whole numbers, (k, d).
+        visits: Row of ``points`` at every time, (T + 1,).
+        allowed: Whether all states of a place may be subgoals, (k,).
+    """
+
+    points: FloatArray
+    bins: FloatArray
+    visits: IntArray
+    allowed: BoolArray
 
 
 class DiscoveryMethod(Protocol):
