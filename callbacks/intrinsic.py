@@ -15,7 +15,7 @@ from sb3_options.execution.features import MAX_FEATURES, flat_size
 from sb3_options.execution.vec_env import as_wrapper_sees
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience import observations as obs_batch
-from sb3_options.experience.observations import FloatArray, Observations
+from sb3_options.experience.observations import FloatArray, IntArray, Observations
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning import novelty
 from sb3_options.learning.episodic_novelty import EllipticalBonus, NovelD
@@ -23,8 +23,6 @@ from sb3_options.learning.novelty import BATCH, NoveltyKind, RandomNetworkDistil
 from sb3_options.learning.rollout_buffer import add_bonuses
 
 Novelty: TypeAlias = StateCounts | RandomNetworkDistillation | EllipticalBonus
-Taken: TypeAlias = tuple[OptionRun | None, Steps | None]
-"""What an environment reported, if it has options, and its primitive steps, if there are any."""
 
 
 class IntrinsicRewardCallback(BaseCallback):
@@ -73,8 +71,8 @@ class IntrinsicRewardCallback(BaseCallback):
         self.seed = seed
         self.novelty: Novelty | None = None
         self.scale: ReturnScale | None = None
-        self._pending: list[Taken] = []  # what each environment did, without a bonus yet
-        self._sums: list[float] = []  # Σ γⁱ bᵢ of what it did before in the rollout
+        self._pending: list[tuple[IntArray, FloatArray, Steps]] = []  # steps without a bonus, their rows and γⁱ
+        self._row = 0  # of the rollout
         self._bonus_weight = 0.0
 
     def _on_training_start(self) -> None:
@@ -125,22 +123,61 @@ class IntrinsicRewardCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self._visit()  # steps of a rollout that an error ended
-        self._sums.clear()
+        buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
+        self._sums = np.zeros((buffer.buffer_size, buffer.n_envs))  # Σ γⁱ bᵢ of each decision
+        self._row = 0
         normalizer = self.model.get_vec_normalize_env()
         self._original = None if normalizer is None else normalizer.get_original_obs()
 
     def _on_step(self) -> bool:
         assert self.novelty is not None  # made when training started
-        runs = [OptionRun.from_info(info) if self._has_options else None for info in self.locals["infos"]]
-        self._pending += zip(runs, self._primitive_steps(runs), strict=True)
-        if sum(map(_length, self._pending)) + self.novelty.waiting >= BATCH:
+        self._begins |= self.model._last_episode_starts
+        before, after = self._observations()
+        alike = []  # environments with one primitive step that did not end the episode
+        for env, info in enumerate(self.locals["infos"]):
+            run = OptionRun.from_info(info) if self._has_options else None
+            if info.get("lost") or (run is not None and run.termination == "running"):
+                continue  # it was no step, or it goes on and is reported when it ends
+            if self.locals["dones"][env] or (run is not None and run.actions is not None):
+                self._add_run(env, run, before, after)
+            else:
+                alike.append(env)
+        if alike:
+            self._add(np.array(alike), before, self.locals["actions"][alike], after)
+        self._row += 1
+        if sum(len(steps.envs) for *_, steps in self._pending) >= BATCH:
             self._visit()
         return True
+
+    def _add(self, envs: IntArray, before: Observations, actions: IntArray, after: Observations) -> None:
+        """Add a primitive step of each of these environments."""
+        # Copies, because an environment may write into its last observations.
+        steps = Steps(obs_batch.take(before, envs), actions, obs_batch.take(after, envs), envs, self._begins[envs])
+        self._pending.append((np.full(len(envs), self._row), np.ones(len(envs)), steps))
+        self._begins[envs] = False
+
+    def _add_run(self, env: int, run: OptionRun | None, before: Observations, after: Observations) -> None:
+        """Add all primitive steps of one environment."""
+        here = [env]
+        info = self.locals["infos"][env]
+        before, after = obs_batch.take(before, here), obs_batch.take(after, here)
+        if self.locals["dones"][env] and info.get("terminal_observation") is not None:
+            last = obs_batch.batch_of_one(obs_batch.copy_of(info["terminal_observation"]))
+            after = as_wrapper_sees(self.training_env, last, normalized=True)
+        if run is not None and run.observations is not None:
+            before = run.observations
+            after = obs_batch.concatenate([obs_batch.take(before, slice(1, None)), after])
+        actions = self.locals["actions"][here] if run is None or run.actions is None else run.actions
+        n = np.arange(len(actions))
+        steps = Steps(before, actions, after, np.full(len(n), env), n < self._begins[env])
+        discounts = np.power(1.0 if run is None else run.gamma, n)
+        self._pending.append((np.full(len(n), self._row), discounts, steps))
+        self._begins[env] = False
 
     def _on_rollout_end(self) -> None:
         self._visit()
         buffer: RolloutBuffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # checked at the start
-        add_bonuses(buffer, self._bonus_weight * np.array(self._sums).reshape(-1, buffer.n_envs))
+        add_bonuses(buffer, self._bonus_weight * self._sums)
 
     def _on_training_end(self) -> None:
         self._visit()  # of a rollout that was cut off
@@ -149,45 +186,23 @@ class IntrinsicRewardCallback(BaseCallback):
         """Give the pending steps their bonuses, and learn from them."""
         assert self.novelty is not None  # made when training started
         assert self.scale is not None  # too
-        known = [steps for _, steps in self._pending if steps is not None]
-        bonuses: FloatArray = np.zeros(0)
-        if known:  # else all environments wait for their options to end
-            steps = Steps.joined(known)
-            bonuses = self.novelty.bonuses(steps)
-            self.scale.update([bonuses[steps.envs == env] for env in range(self.training_env.num_envs)])
-            self._bonus_weight = self.weight / self.scale.std
-            self.logger.record_mean("intrinsic/bonus", self._bonus_weight * float(np.mean(bonuses)))
-            self.logger.record("intrinsic/return_std", self.scale.std)
-            for name, value in self.novelty.records().items():
-                self.logger.record(f"intrinsic/{name}", value)
-        ends = np.cumsum(list(map(_length, self._pending)), dtype=np.int64)
-        for (run, _), of_run in zip(self._pending, np.split(bonuses, ends), strict=False):  # the last part is empty
-            self._sums.append(_discounted(run, of_run))
+        if not self._pending:
+            return
+        parts = zip(*self._pending, strict=True)
+        rows, discounts = np.concatenate(next(parts)), np.concatenate(next(parts))
+        steps = Steps.joined(next(parts))
         self._pending.clear()
-
-    def _primitive_steps(self, runs: list[OptionRun | None]) -> list[Steps | None]:
-        """Return the primitive steps of each environment; None if there are none."""
-        found: list[Steps | None] = []
-        self._begins |= self.model._last_episode_starts
-        departed_from, arrived_in = self._observations()
-        for env, run in enumerate(runs):
-            info = self.locals["infos"][env]
-            if info.get("lost") or (run is not None and run.termination == "running"):
-                found.append(None)  # it was no step, or it goes on and is reported when it ends
-                continue
-            here = [env]  # copies, because an environment may write into its last observations
-            before, after = obs_batch.take(departed_from, here), obs_batch.take(arrived_in, here)
-            if self.locals["dones"][env] and info.get("terminal_observation") is not None:
-                last = obs_batch.batch_of_one(obs_batch.copy_of(info["terminal_observation"]))
-                after = as_wrapper_sees(self.training_env, last, normalized=True)
-            if run is not None and run.observations is not None:
-                before = run.observations
-                after = obs_batch.concatenate([obs_batch.take(before, slice(1, None)), after])
-            actions = self.locals["actions"][here] if run is None or run.actions is None else run.actions
-            n = np.arange(len(actions))
-            found.append(Steps(before, actions, after, np.full(len(n), env), n < self._begins[env]))
-            self._begins[env] = False
-        return found
+        order = np.lexsort((steps.envs, rows))  # steps of one run keep theirs
+        rows, discounts = rows[order], discounts[order]
+        steps = Steps(*(obs_batch.take(part, order) for part in steps))
+        bonuses = self.novelty.bonuses(steps)
+        np.add.at(self._sums, (rows, steps.envs), discounts * bonuses)
+        self.scale.update([bonuses[steps.envs == env] for env in range(self.training_env.num_envs)])
+        self._bonus_weight = self.weight / self.scale.std
+        self.logger.record_mean("intrinsic/bonus", self._bonus_weight * float(np.mean(bonuses)))
+        self.logger.record("intrinsic/return_std", self.scale.std)
+        for name, value in self.novelty.records().items():
+            self.logger.record(f"intrinsic/{name}", value)
 
     def _observations(self) -> tuple[Any, Any]:
         """Return the observations before and after the last step of all environments, as these gave them."""
@@ -199,15 +214,3 @@ class IntrinsicRewardCallback(BaseCallback):
         # The originals: normalisation may have clipped the others, and its statistics have changed.
         before, self._original = self._original, normalizer.get_original_obs()
         return as_wrapper_sees(normalizer.venv, before), as_wrapper_sees(normalizer.venv, self._original)
-
-
-def _length(taken: Taken) -> int:
-    steps = taken[1]
-    return 0 if steps is None else len(steps.envs)
-
-
-def _discounted(run: OptionRun | None, bonuses: FloatArray) -> float:
-    """Return Σ γⁱ bᵢ over the primitive steps of a run."""
-    if run is None or len(bonuses) <= 1:
-        return float(bonuses.sum())
-    return float(run.gamma ** np.arange(len(bonuses)) @ bonuses)

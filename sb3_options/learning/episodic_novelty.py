@@ -7,7 +7,7 @@ from torch.nn import functional
 
 from sb3_options.density.arrays import short_key
 from sb3_options.experience.observations import FloatArray, flatten
-from sb3_options.learning.novelty import N_FEATURES, NetworkNovelty, RandomNetworkDistillation, Steps, network
+from sb3_options.learning.novelty import N_FEATURES, NetworkNovelty, RandomNetworkDistillation, Steps, as_array, network
 
 ALPHA = 0.5
 """Share of the novelty of the observation before that `NovelD` subtracts (Zhang et al. 2021, α)."""
@@ -36,10 +36,11 @@ class NovelD(RandomNetworkDistillation):
         """Return the bonus of each primitive step, (n,), and learn from it."""
         left, arrived = flatten(steps.before), flatten(steps.after)
         self.statistics.update(arrived)
-        normalized = self.normalized(arrived)
-        before = np.sqrt(self.errors(self.normalized(left)))
-        bonuses = np.maximum(np.sqrt(self.errors(normalized)) - ALPHA * before, 0.0)
-        self.learn(normalized)
+        with torch.no_grad():
+            before = as_array(self.errors(self.normalized(left)))
+        errors = self.errors(self.normalized(arrived))
+        bonuses = np.maximum(np.sqrt(as_array(errors)) - ALPHA * np.sqrt(before), 0.0)
+        self.learn(errors.mean())
         each = zip(steps.envs.tolist(), steps.begins.tolist(), keys_of(left), keys_of(arrived), strict=True)
         for i, (env, begins, here, there) in enumerate(each):
             if begins or env not in self.seen:
@@ -76,8 +77,10 @@ class EllipticalBonus(NetworkNovelty):
         rows = flatten(steps.after)
         self.statistics.update(rows)
         left, arrived = self.normalized(flatten(steps.before)), self.normalized(rows)
-        here, there = self._encoded(left), self._encoded(arrived)
-        self.learn(left, torch.as_tensor(steps.actions, dtype=torch.int64), arrived)
+        encoded = self.encoder(left), self.encoder(arrived)
+        here, there = map(as_array, encoded)
+        predicted = self.inverse_dynamics(torch.cat(encoded, dim=1))
+        self.learn(functional.cross_entropy(predicted, torch.as_tensor(steps.actions, dtype=torch.int64)))
         bonuses = np.empty(len(rows))
         for i, (env, begins) in enumerate(zip(steps.envs.tolist(), steps.begins.tolist(), strict=True)):
             if begins or env not in self.inverses:
@@ -85,16 +88,6 @@ class EllipticalBonus(NetworkNovelty):
                 _include(here[i], self.inverses[env])
             bonuses[i] = _include(there[i], self.inverses[env])
         return bonuses
-
-    def _encoded(self, normalized: torch.Tensor) -> FloatArray:
-        with torch.no_grad():
-            return np.asarray(self.encoder(normalized).double().numpy())
-
-    def loss_of(self, *visited: torch.Tensor) -> torch.Tensor:
-        """Return the cross-entropy of the predicted actions."""
-        before, actions, after = visited
-        features = torch.cat([self.encoder(before), self.encoder(after)], dim=1)
-        return functional.cross_entropy(self.inverse_dynamics(features), actions)
 
 
 def _include(feature: FloatArray, inverse: FloatArray) -> float:

@@ -41,7 +41,7 @@ LARGEST_SPAN = 1e6  # a wider range than this (the largest float, say) is no bou
 N_FEATURES = 64  # numbers that the random network makes of an observation
 HIDDEN = 128  # units of a hidden layer; the predictor has one more such layer
 LEARNING_RATE = 1e-3  # of Adam
-BATCH = 64  # networks take a gradient step each time this many observations were visited
+BATCH = 64  # bonuses are computed, and networks take a gradient step, for at least this many primitive steps
 
 
 class Steps(NamedTuple):
@@ -77,8 +77,6 @@ class StateCounts:
     """
 
     STATE = ("visits",)
-
-    waiting = 0  # it learns at once
 
     def __init__(self, features: FeatureMap, widths: float | FloatArray = 1.0) -> None:
         self.features = features
@@ -127,13 +125,12 @@ class NetworkNovelty:
     Flat observations are normalised by their running mean and standard deviation, and clipped (Burda et al. 2018).
     """
 
-    STATE: tuple[str, ...] = ("statistics", "loss", "_optimizer", "_visited")
+    STATE: tuple[str, ...] = ("statistics", "loss", "_optimizer")
 
     def __init__(self, size: int, trained: nn.Module) -> None:
         self.statistics = RunningMeanStd(shape=(size,))
         self.loss = math.nan
-        self._optimizer = torch.optim.Adam(trained.parameters(), lr=LEARNING_RATE)
-        self._visited: list[tuple[torch.Tensor, ...]] = []
+        self._optimizer = torch.optim.Adam(trained.parameters(), lr=LEARNING_RATE, fused=True)
 
     def records(self) -> dict[str, float]:
         """Return the last loss, or nothing before the first."""
@@ -144,26 +141,12 @@ class NetworkNovelty:
         scaled = (rows - self.statistics.mean) / np.sqrt(self.statistics.var + SMALLEST)
         return torch.as_tensor(np.clip(scaled, -CLIP, CLIP), dtype=torch.float32)
 
-    @property
-    def waiting(self) -> int:
-        """Visited observations that the networks have yet to learn from."""
-        return sum(len(first) for first, *_ in self._visited)
-
-    def learn(self, *visited: torch.Tensor) -> None:
-        """Take a gradient step on ``BATCH`` visited observations, once there are as many; keep them until then."""
-        self._visited.append(visited)
-        if self.waiting < BATCH:
-            return
-        loss = self.loss_of(*map(torch.cat, zip(*self._visited, strict=True)))
-        self._visited.clear()
+    def learn(self, loss: torch.Tensor) -> None:
+        """Take a gradient step."""
         self._optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
         self._optimizer.step()
         self.loss = loss.item()
-
-    def loss_of(self, *visited: torch.Tensor) -> torch.Tensor:
-        """Return the loss of the networks."""
-        raise NotImplementedError
 
 
 class RandomNetworkDistillation(NetworkNovelty):
@@ -190,20 +173,18 @@ class RandomNetworkDistillation(NetworkNovelty):
         """Return the error before the predictor learns from these observations, (batch,)."""
         rows = flatten(observations)
         self.statistics.update(rows)
-        normalized = self.normalized(rows)
-        errors = self.errors(normalized)
-        self.learn(normalized)
-        return errors
+        errors = self.errors(self.normalized(rows))
+        self.learn(errors.mean())
+        return as_array(errors)
 
-    def errors(self, normalized: torch.Tensor) -> FloatArray:
+    def errors(self, normalized: torch.Tensor) -> torch.Tensor:
         """Return the predictor's error for normalised observations, (batch,)."""
-        with torch.no_grad():
-            errors = (self.predictor(normalized) - self.target(normalized)).square().mean(dim=1)
-        return np.asarray(errors.numpy(), dtype=np.float64)
+        return functional.mse_loss(self.predictor(normalized), self.target(normalized), reduction="none").mean(dim=1)
 
-    def loss_of(self, *visited: torch.Tensor) -> torch.Tensor:
-        """Return the predictor's mean error."""
-        return functional.mse_loss(self.predictor(visited[0]), self.target(visited[0]))
+
+def as_array(tensor: torch.Tensor) -> FloatArray:
+    """Return the numbers of a tensor, without its gradient."""
+    return tensor.detach().numpy().astype(np.float64)
 
 
 def network(size: int, n_outputs: int, *, n_hidden: int) -> nn.Sequential:
