@@ -25,16 +25,16 @@ class Successors:
 
     def begin(self, n_envs: int) -> None:
         """Start new sequences for ``n_envs`` environments: no new decision follows a stored one."""
-        self._newest = [np.zeros(0, dtype=np.int64)] * n_envs
+        self._newest: list[list[int]] = [[] for _ in range(n_envs)]
 
     @property
     def n_envs(self) -> int:
         """Number of environments whose decisions are linked."""
         return len(self._newest)
 
-    def newest(self, env: int) -> Indices:
-        """Return the newest decision of an environment whose episode goes on, (1,), or nothing, (0,)."""
-        return self._newest[env][-1:]
+    def newest(self, env: int) -> int | None:
+        """Return the newest decision of an environment whose episode goes on, or None."""
+        return self._newest[env][-1] if self._newest[env] else None
 
     def add(self, env: int, decision: int, inner: Indices, *, follows: bool, done: bool) -> None:
         """Enter the newest decision of an environment, and the steps inside it, in order, (k,) or empty.
@@ -43,19 +43,25 @@ class Successors:
         """
         size = len(self.following)
         inner = inner[-size:]  # a longer run has overwritten its own first rows, and its decision's
-        written = inner if len(inner) == size else np.append(inner, decision)
+        written = inner.tolist() if len(inner) == size else [*inner.tolist(), decision]
         if follows:
             self.following[self._newest[env]] = decision
         self.following[written] = END
         self.following[inner[:-1]] = inner[1:]
-        self._newest = [rows[~np.isin(rows, written)] for rows in self._newest]
-        self._newest[env] = written[:0] if done else written[max(len(inner) - 1, 0) :]
+        self._forget(set(written))
+        self._newest[env] = [] if done else written[max(len(inner) - 1, 0) :]
+
+    def _forget(self, rows: set[int]) -> None:
+        """Let no decision follow these rows: they hold other transitions."""
+        self._newest = [
+            newest if rows.isdisjoint(newest) else [row for row in newest if row not in rows] for newest in self._newest
+        ]
 
     def cut(self, rows: Indices) -> None:
         """End every return before and after rows that now hold other transitions."""
         self.following[np.isin(self.following, rows)] = END
         self.following[rows] = END
-        self._newest = [newest[~np.isin(newest, rows)] for newest in self._newest]
+        self._forget(set(rows.tolist()))
 
     def get_state(self, size: int) -> dict[str, Any]:
         """Return the state of the first ``size`` rows, for a checkpoint."""

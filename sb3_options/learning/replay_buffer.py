@@ -191,37 +191,39 @@ class OptionReplayBuffer(ReplayBuffer):
             run = OptionRun.from_info(info)
             if run.termination == "running":  # its environment waits, or its slot was emptied
                 continue
-            here = {k: v[i][None] for k, v in obs.items()}
-            there = {k: v[i][None] for k, v in next_obs.items()}
-            timeout = bool(info.get("TimeLimit.truncated", False))
-            chosen = actions[i] if run.chosen is None else np.array([run.chosen])
+            here = {k: v[i] for k, v in obs.items()}
+            there = {k: v[i] for k, v in next_obs.items()}
+            ended, timeout = bool(done[i]), bool(info.get("TimeLimit.truncated", False))
+            chosen = actions[i] if run.chosen is None else run.chosen
             if run.index < 0 and run.actions is not None:
                 chosen = run.actions  # a slot that ran a primitive instead is stored as that primitive
-            last = None if run.available is None else run.available[-1:]
-            this = slice(i, i + 1)
+            last = None if run.available is None else run.available[-1]
             decision = self.pos
             inner = NO_ROWS
             follows = self._successors is not None and self._follows(i, here, self._successors)
-            self._write(here, there, chosen[None], reward[this], done[this], timeout, run.discount, last)
+            self._write(decision, here, there, chosen, reward[i], ended, timeout, run.discount, last)
             if self.macro_q and run.index >= 0 and run.actions is not None:
                 inner = (self.pos + np.arange(run.duration)) % self.buffer_size
-                self._write_inner(run, there, bool(done[i]), timeout)
+                self._write_inner(inner, run, there, ended, timeout)
             if self._successors is not None:
-                self._successors.add(i, decision, inner, follows=follows, done=bool(done[i]))
+                self._successors.add(i, decision, inner, follows=follows, done=ended)
 
     def _follows(self, env: int, here: Rows, successors: Successors) -> bool:
         """Return whether a decision begins where the last one of its environment ended."""
         newest = successors.newest(env)
-        return all(np.array_equal(self._next_observations[k][newest], v) for k, v in here.items())
+        return newest is not None and all(
+            np.array_equal(self._next_observations[k][newest], v) for k, v in here.items()
+        )
 
-    def _write_inner(self, run: OptionRun, there: Rows, done: bool, timeout: bool) -> None:
+    def _write_inner(self, rows: npt.NDArray[Any], run: OptionRun, there: Rows, done: bool, timeout: bool) -> None:
         assert run.observations is not None  # an option reports its steps
         here = self.as_stored(run.observations)
-        led = {key: np.concatenate([rows[1:], there[key]]) for key, rows in here.items()}
+        led = {key: np.concatenate([of_key[1:], there[key][None]]) for key, of_key in here.items()}
         last = np.arange(run.duration) == run.duration - 1
         assert run.actions is not None
         assert run.rewards is not None
-        self._write(here, led, run.actions[:, None], run.rewards, last & done, last & timeout, run.gamma, run.available)
+        ends = last & done, last & timeout
+        self._write(rows, here, led, run.actions[:, None], run.rewards, *ends, run.gamma, run.available)
 
     def as_stored(self, observations: Observations) -> Rows:
         """Return observations from below the VecEnv in the algorithm's shape: SB3 puts image channels first."""
@@ -241,21 +243,17 @@ class OptionReplayBuffer(ReplayBuffer):
 
     def _write(
         self,
+        rows: int | npt.NDArray[Any],
         obs: Rows,
         next_obs: Rows,
-        actions: npt.NDArray[Any],
-        rewards: npt.NDArray[Any],
-        dones: npt.NDArray[Any],
-        timeouts: npt.NDArray[Any] | bool,
+        actions: Any,
+        rewards: Any,
+        dones: Any,
+        timeouts: Any,
         discounts: float,
         available: BoolArray | None,
     ) -> None:
-        """Write n rows at the current position, over the oldest ones if the buffer is full."""
-        n = len(actions)
-        if n == 1 or self.pos + n <= self.buffer_size:
-            rows: slice | npt.NDArray[Any] = slice(self.pos, self.pos + n)
-        else:
-            rows = (self.pos + np.arange(n)) % self.buffer_size
+        """Write one row or several from the current position on, over the oldest ones if the buffer is full."""
         for key in self._observations:
             self._observations[key][rows] = obs[key]
             self._next_observations[key][rows] = next_obs[key]
@@ -268,10 +266,11 @@ class OptionReplayBuffer(ReplayBuffer):
         if self.tracks_availability:
             self.next_available[rows] = False if available is None else available
         self._note_change(rows)
-        self.full = self.full or self.pos + n >= self.buffer_size
-        self.pos = (self.pos + n) % self.buffer_size
+        end = self.pos + (1 if isinstance(rows, int) else len(rows))
+        self.full = self.full or end >= self.buffer_size
+        self.pos = end % self.buffer_size
 
-    def _note_change(self, rows: slice | npt.NDArray[Any]) -> None:
+    def _note_change(self, rows: int | slice | npt.NDArray[Any]) -> None:
         self.changes += 1
         self._changed_at[rows] = self.changes
 
