@@ -142,7 +142,7 @@ def contestants(seed: int) -> dict[str, Contestant]:
     timed_pioneer, pioneer_watch = gym.make(OURS), Stopwatch()
     core = timed_pioneer.unwrapped
     assert isinstance(core, Pioneer)
-    core.bullet.p = pioneer_watch.module()
+    core.simulator.p = pioneer_watch.module()
     timed_peer, peer_watch = gym.make(PEER), Stopwatch()
     # panda-gym calls a BulletClient, which looks each function up when it is called.
     client: Any = timed_peer.unwrapped.sim.physics_client  # type: ignore[attr-defined]  # panda-gym has no stubs

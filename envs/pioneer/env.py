@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from sb3_options.envs.checks import count, number, one_of, step_limit
 from sb3_options.envs.pioneer.arena import Arena, Placement, Pose, Position
 from sb3_options.envs.pioneer.body import BALL_RADIUS, CONTROL_RATE
-from sb3_options.envs.pioneer.bullet import Bullet
 from sb3_options.envs.pioneer.bullet_simulator import BulletSimulator
 from sb3_options.envs.pioneer.robot import PioneerRobot
 from sb3_options.envs.pioneer.senses import (
@@ -346,13 +345,9 @@ class Pioneer(PioneerTask):
     Render mode ``"human"`` opens Bullet's own window.
     """
 
-    @property
-    def bullet(self) -> Bullet:
-        """The physics client."""
-        assert isinstance(self.simulator, BulletSimulator)  # made below
-        return self.simulator.bullet
+    simulator: BulletSimulator
 
-    def _make_simulator(self, *, window: bool) -> Simulator:
+    def _make_simulator(self, *, window: bool) -> BulletSimulator:
         return BulletSimulator(gui=window)
 
 
