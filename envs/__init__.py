@@ -21,16 +21,10 @@ from typing import Any
 
 import gymnasium
 
+from sb3_options.envs.gridworld import maps
 from sb3_options.envs.gridworld.env import KEY_FEATURE_SCALE, GridWorld
 from sb3_options.envs.gridworld.grid_map import Direction
-from sb3_options.envs.gridworld.maps import (
-    FOUR_ROOMS,
-    FOUR_ROOMS_MAX_STEPS,
-    KEY_DOOR,
-    KEY_DOOR_MAX_STEPS,
-    TWO_ROOMS,
-    TWO_ROOMS_MAX_STEPS,
-)
+from sb3_options.envs.gridworld.maps import FOUR_ROOMS, KEY_DOOR, TWO_ROOMS
 from sb3_options.envs.last_action import LastActionObservation
 
 __all__ = [
@@ -44,30 +38,18 @@ __all__ = [
 ]
 
 
-def _register(name: str, map: str, max_steps: int) -> None:
+def _register(name: str, entry_point: str, **kwargs: Any) -> None:
     env_id = f"sb3_options/{name}-v0"
     # Registering twice warns, and a reloaded module would do so.
     if env_id not in gymnasium.registry:
-        gymnasium.register(
-            env_id,
-            entry_point="sb3_options.envs.gridworld:GridWorld",
-            kwargs={"map": map, "max_steps": max_steps},
-        )
+        gymnasium.register(env_id, entry_point=f"sb3_options.envs.{entry_point}", kwargs=kwargs)
 
 
-_register("TwoRooms", TWO_ROOMS, TWO_ROOMS_MAX_STEPS)
-_register("FourRooms", FOUR_ROOMS, FOUR_ROOMS_MAX_STEPS)
-_register("KeyDoor", KEY_DOOR, KEY_DOOR_MAX_STEPS)
-
-
-def _register_pioneer(name: str, cls: str = "Pioneer", **kwargs: Any) -> None:
-    env_id = f"sb3_options/{name}-v0"
-    if env_id not in gymnasium.registry:
-        gymnasium.register(env_id, entry_point=f"sb3_options.envs.pioneer:{cls}", kwargs=kwargs)
-
-
-_register_pioneer("Pioneer")
-_register_pioneer("PioneerCorner", deposit="corner")
-_register_pioneer("PioneerClutter", n_obstacles=4)
-_register_pioneer("PioneerTwoBalls", n_balls=2)
-_register_pioneer("PioneerMuJoCo", cls="PioneerMuJoCo")
+_register("TwoRooms", "gridworld:GridWorld", map=TWO_ROOMS, max_steps=maps.TWO_ROOMS_MAX_STEPS)
+_register("FourRooms", "gridworld:GridWorld", map=FOUR_ROOMS, max_steps=maps.FOUR_ROOMS_MAX_STEPS)
+_register("KeyDoor", "gridworld:GridWorld", map=KEY_DOOR, max_steps=maps.KEY_DOOR_MAX_STEPS)
+_register("Pioneer", "pioneer:Pioneer")
+_register("PioneerCorner", "pioneer:Pioneer", deposit="corner")
+_register("PioneerClutter", "pioneer:Pioneer", n_obstacles=4)
+_register("PioneerTwoBalls", "pioneer:Pioneer", n_balls=2)
+_register("PioneerMuJoCo", "pioneer:PioneerMuJoCo")

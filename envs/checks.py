@@ -3,6 +3,11 @@
 import math
 from numbers import Real
 from operator import index
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
 
 
 def number(value: float, argument: str, low: float = -math.inf, high: float = math.inf) -> float:
@@ -27,6 +32,16 @@ def count(value: int, argument: str, low: int) -> int:
     if number < low:
         raise ValueError(f"{argument} must be at least {low}, got {number}")
     return number
+
+
+def batch(observations: NDArray[Any], space: spaces.Space[Any]) -> NDArray[Any]:
+    """Return the observations as an array, if they are a batch of the space's."""
+    observations = np.asarray(observations)
+    if observations.ndim == 0 or observations.shape[1:] != space.shape:
+        raise ValueError(
+            f"observations must be a batch of observations of shape {space.shape} each, got shape {observations.shape}"
+        )
+    return observations
 
 
 def step_limit(value: int | None) -> int | None:

@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 
 from sb3_options.envs.gridworld.grid_map import Cell, GridMap
 
-RENDER_CELL_PX = 32
-"""Side of a cell in a rendered picture, px. It is a multiple of 16, because video encoders pad other sizes."""
+RENDER_CELL_PX = 32  # side of a cell in a rendered picture: a multiple of 16, because video encoders pad other sizes
 
 Colour = tuple[int, int, int]
 
@@ -90,8 +89,7 @@ def _draw_door(picture: Picture, cell: Cell, is_open: bool) -> None:
         _blend(picture, cell, leaf - _box(0, 0, 0.36, 0.36), _DOOR)
         return
     _blend(picture, cell, leaf, _DOOR)
-    keyhole = np.maximum(_disc(0, -0.06, 0.1), _box(0, 0.08, 0.04, 0.12))
-    _blend(picture, cell, keyhole, KEY)
+    _blend(picture, cell, np.maximum(_disc(0, -0.06, 0.1), _box(0, 0.08, 0.04, 0.12)), KEY)  # the keyhole
 
 
 def _disc(u: float, v: float, radius: float) -> Mask:

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.core import RenderFrame
 from numpy.typing import NDArray
 
-from sb3_options.envs.checks import number, one_of, step_limit
+from sb3_options.envs.checks import batch, number, one_of, step_limit
 from sb3_options.envs.gridworld import drawing
 from sb3_options.envs.gridworld.grid_map import Cell, Direction, GridMap
 from sb3_options.envs.gridworld.maps import TWO_ROOMS, TWO_ROOMS_MAX_STEPS
@@ -219,13 +219,7 @@ class GridWorld(gymnasium.Env[NDArray[Any], np.int64]):
             Column and row in cells, of shape (batch, 2). With a key on the map the shape is (batch, 3). The third
             feature is `KEY_FEATURE_SCALE` if the agent has the key, else 0.
         """
-        observations = np.asarray(observations)
-        expected = self._view.space.shape
-        if observations.ndim == 0 or observations.shape[1:] != expected:
-            raise ValueError(
-                f"observations must be a batch of observations of shape {expected} each, got shape {observations.shape}"
-            )
-        features = self._view.positions(observations)
+        features = self._view.positions(batch(observations, self._view.space))
         features[:, 2:] *= KEY_FEATURE_SCALE
         return features
 

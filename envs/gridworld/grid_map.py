@@ -11,8 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-Cell = tuple[int, int]
-"""A cell (x, y) = (column, row), counted from the top left corner."""
+Cell = tuple[int, int]  # (x, y) = (column, row), counted from the top left corner
 
 WALL, FLOOR, START, GOAL, KEY, DOOR = "#.SGKD"
 _CHARACTERS = frozenset((WALL, FLOOR, START, GOAL, KEY, DOOR))
@@ -41,20 +40,13 @@ class GridMap:
 
     A *state* is one integer: ``y * width + x`` without the key, plus the number of cells with the key. Maps without a
     key have only states of the first kind.
-
-    Attributes:
-        walls: Which cells are walls, shape (height, width), read-only.
-        goal: The goal cell.
-        starts: The cells where an episode may start.
-        keys: Cells that hold a key. Every key opens all doors, so keys are interchangeable.
-        doors: Cells that only an agent with a key can enter.
     """
 
-    walls: NDArray[np.bool_]
+    walls: NDArray[np.bool_]  # (height, width), read-only
     goal: Cell
     starts: tuple[Cell, ...]
-    keys: frozenset[Cell]
-    doors: frozenset[Cell]
+    keys: frozenset[Cell]  # every key opens all doors, so keys are interchangeable
+    doors: frozenset[Cell]  # only an agent with a key can enter them
 
     @classmethod
     def parse(cls, text: str, goal: Cell | None = None, starts: Sequence[Cell] | None = None) -> Self:
@@ -64,15 +56,15 @@ class GridMap:
         if bool(cells[KEY]) != bool(cells[DOOR]):
             there, missing = ("D", "K") if cells[DOOR] else ("K", "D")
             raise ValueError(f"map has a {there!r} but no {missing!r}: keys and doors need each other")
-        if goal is None:
-            if len(cells[GOAL]) != 1:
-                raise ValueError(
-                    f"map must have exactly one goal 'G', got {len(cells[GOAL])}: {cells[GOAL]}; mark one "
-                    "cell, or pass goal=(x, y)"
-                )
+        if goal is not None:
+            goal = _as_cell(goal, "goal")
+        elif len(cells[GOAL]) == 1:
             goal = cells[GOAL][0]
         else:
-            goal = _as_cell(goal, "goal")
+            raise ValueError(
+                f"map must have exactly one goal 'G', got {len(cells[GOAL])}: {cells[GOAL]}; mark one cell, or pass "
+                "goal=(x, y)"
+            )
         if starts is None:
             # A caller who moves the goal onto one of the map's many starts means to use the other starts.
             starts = [cell for cell in cells[START] if cell != goal]
@@ -148,7 +140,7 @@ class GridMap:
         queue = deque(found)
         while queue:
             for state in predecessors[queue.popleft()]:
-                if state not in found and not self._is_wall(state):
+                if state not in found and not self.walls.flat[state % self.n_cells]:
                     found.add(state)
                     queue.append(state)
         return frozenset(found)
@@ -187,10 +179,6 @@ class GridMap:
         if cell in taken:
             thing = "key" if cell in self.keys else "door"
             raise ValueError(f"{argument} {cell} is a {thing}: choose a floor cell")
-
-    def _is_wall(self, state: int) -> bool:
-        x, y = self.cell(state)
-        return bool(self.walls[y, x])
 
     def _successor(self, state: int, direction: Direction) -> int:
         (x, y), (dx, dy) = self.cell(state), _OFFSETS[direction]

@@ -12,8 +12,7 @@ from torch import nn
 
 from sb3_options.envs.minigrid.cells import DEPTH
 
-MOST_WORDS = 500
-"""Limit on the words of missions: more than any task has, and less than the next larger view adds."""
+MOST_WORDS = 500  # of missions: more than any task has, and less than the next larger view adds
 
 
 class MiniGridCNN(BaseFeaturesExtractor):

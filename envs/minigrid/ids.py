@@ -10,8 +10,7 @@ from sb3_options.envs.last_action import LastActionObservation
 from sb3_options.envs.minigrid.wrapper import MiniGridWrapper
 from sb3_options.extras import how_to_install
 
-PREFIXES = ("MiniGrid-", "BabyAI-")
-"""Prefixes of MiniGrid's ids."""
+PREFIXES = ("MiniGrid-", "BabyAI-")  # of MiniGrid's ids
 
 MODULE = "minigrid:"
 """Prefix of an id that names the module which registers it."""

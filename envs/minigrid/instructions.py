@@ -12,23 +12,15 @@ from sb3_options.envs.minigrid.missions import COLOURS, NO_THING, bytes_of
 from sb3_options.envs.minigrid.retina import BALL, BOX, DOOR, KEY
 
 VERBS = ("open", "go to", "pick up", "put")
-KINDS = {"object": 0, "door": DOOR, "key": KEY, "ball": BALL, "box": BOX}
-"""Names of things in instructions; 0 is any object."""
+KINDS = {"object": 0, "door": DOOR, "key": KEY, "ball": BALL, "box": BOX}  # names of things; 0 is any object
+PLACES = ("in front of you", "behind you", "on your left", "on your right")  # at the start of the episode
 
-PLACES = ("in front of you", "behind you", "on your left", "on your right")
-"""Places of a thing at the start of the episode."""
-
+# Words of one instruction: the verb, then colour, kind and place of the thing and of the thing to put it next to.
 WORDS = (VERBS, *2 * (COLOURS, tuple(KINDS), PLACES))
-"""Words of one instruction: the verb, then colour, kind and place of the thing and of the thing to put it next to."""
+BEGINS = np.cumsum([0, *map(len, WORDS)])  # where each begins in the code of an instruction, and finally its length
 
-BEGINS = np.cumsum([0, *map(len, WORDS)])
-"""Start index of each of `WORDS` in the code of an instruction, and finally its length."""
-
-AT_ONCE = 2
-"""Maximum number of instructions joined by "and", on either side of "then"."""
-
-REMEMBERED = 1 << 12
-"""Size of the caches of codes and of things, which every step looks up for its mission."""
+AT_ONCE = 2  # most instructions joined by "and", on either side of "then"
+REMEMBERED = 1 << 12  # size of the caches of codes and of things, which every step looks up for its mission
 
 _A_THING = rf"(?:a|the) (?:({'|'.join(COLOURS)}) )?({'|'.join(KINDS)})(?: ({'|'.join(PLACES)}))?"
 _INSTRUCTION = re.compile(rf"({'|'.join(VERBS)}) {_A_THING}(?: next to {_A_THING})?")
@@ -43,11 +35,8 @@ class Instructions:
     door" has the code of "open a door, then go to the ball". Articles are left out.
     """
 
-    n_words = 2 * AT_ONCE * int(BEGINS[-1])
-    """Length of a code."""
-
-    n_things = 2
-    """Number of things: that of the first instruction, and the thing to put it next to."""
+    n_words = 2 * AT_ONCE * int(BEGINS[-1])  # length of a code
+    n_things = 2  # that of the first instruction, and the thing to put it next to
 
     @staticmethod
     @lru_cache(maxsize=REMEMBERED)

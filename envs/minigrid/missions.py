@@ -12,20 +12,14 @@ import numpy.typing as npt
 
 from sb3_options.envs.minigrid.retina import BALL, BOX, DOOR, KEY, MOST_ASKED
 
-MAX_MISSIONS = 4096
-"""Maximum number of missions of one environment."""
+MAX_MISSIONS = 4096  # of one environment
+COLOURS = ("red", "green", "blue", "purple", "yellow", "grey")  # as in ``minigrid.core.constants.COLOR_TO_IDX``
 
-COLOURS = ("red", "green", "blue", "purple", "yellow", "grey")
-"""Colours, in the order of ``minigrid.core.constants.COLOR_TO_IDX``."""
-
+# Names of coloured things in missions. A room is located by its door.
 NAMED = {"door": DOOR, "room": DOOR, "key": KEY, "ball": BALL, "box": BOX}
-"""Names of coloured things in missions. A room is located by its door."""
-
+# A coloured thing, but no goal, which is always green and a kind of its own.
 _THING = re.compile(rf"\b({'|'.join(COLOURS)})\b(?! goal\b)(?: ({'|'.join(NAMED)})\b)?")
-"""A coloured thing, but no goal, which is always green and a kind of its own."""
-
-NO_THING = (0, -1)
-"""Placeholder for a thing that a mission does not name."""
+NO_THING = (0, -1)  # placeholder for a thing that a mission does not name
 
 Vector = npt.NDArray[np.uint8]
 

@@ -15,48 +15,34 @@ import numpy.typing as npt
 
 from sb3_options.envs.minigrid.cells import COLOURS, DEPTH, OBJECTS
 
+# Objects, and states of a door, numbered as in ``minigrid.core.constants``; ``FREE`` is empty and floor.
 WALL, FREE, DOOR, KEY, BALL, BOX, GOAL, LAVA = 2, (1, 3), 4, 5, 6, 7, 8, 9
-"""Objects, numbered as in ``minigrid.core.constants.OBJECT_TO_IDX``; ``FREE`` is empty and floor."""
-
 OPEN, CLOSED, LOCKED = 0, 1, 2
-"""States of a door, numbered as in ``minigrid.core.constants.STATE_TO_IDX``."""
 
 KINDS = ("closed_door", "open_door", "locked_door", "key", "ball", "box", "goal", "lava")
 """The kinds of things. A carried thing is at 0, 0, where MiniGrid draws it."""
 
+# Features of the cells around the agent: 1 or 0. Between walls on its left and right, it is in a doorway or corridor.
+# MiniGrid does not draw the door that the agent stands in.
 AHEAD = ("wall_ahead", "free_ahead", "between_walls")
-"""Features of the cells around the agent: 1 or 0. Between walls on its left and right, it is in a doorway or corridor.
-MiniGrid does not draw the door that the agent stands in."""
-
-THING = ("visible", "forward", "lateral")
-"""Features of a thing: whether it is in view, and where."""
+THING = ("visible", "forward", "lateral")  # features of a thing: whether it is in view, and where
 
 FEATURES = (*(f"{kind}_{what}" for kind in KINDS for what in THING), *AHEAD)
 """The names of the features, in order. ``visible`` is 1 or 0. ``forward`` is in cells, ≥ 0. ``lateral`` is in cells,
 positive to the right. Both are 0 if nothing of the kind is visible. The nearest thing is the fewest steps away, so a
 carried thing hides all others of its kind."""
 
-SHUNNED = ("lava",)
-"""Kinds without a group: dangers are rare too, and an option would lead the agent there."""
+SHUNNED = ("lava",)  # kinds without a group: dangers are rare too, and an option would lead the agent there
+MOST_ASKED = 3  # things of a mission that φ locates. Every task has features for this many, so options fit all tasks.
+COLOURED = (DOOR, KEY, BALL, BOX)  # objects that a mission may mean if it names only a colour
+VISIBLE_SCALE = 10.0  # factor of the features that are 1 or 0: separates them by more than any radius
 
-MOST_ASKED = 3
-"""Maximum things of a mission that φ locates. Every task has features for this many, so options fit all tasks."""
-
-COLOURED = (DOOR, KEY, BALL, BOX)
-"""Objects that a mission may mean if it names only a colour."""
+# Pairs of kinds that may matter together: a thing that is carried or lies around, and its use or what it blocks.
+PAIRS = (("key", "locked_door"), ("key", "closed_door"), ("ball", "open_door"), ("box", "key"))
 
 N_KINDS = len(KINDS)
-VISIBLE_SCALE = 10.0
-"""Factor of the features that are 1 or 0. It separates visible from invisible by more than any radius."""
-
-PAIRS = (("key", "locked_door"), ("key", "closed_door"), ("ball", "open_door"), ("box", "key"))
-"""Pairs of kinds that may matter together: a thing that is carried or lies around, and its use or what it blocks."""
-
 _NOTHING = N_KINDS
-
-
-OBJECT_FACTOR = 256
-"""Factor of the object in a cell's code: its object times this, plus its state."""
+OBJECT_FACTOR = 256  # in a cell's code: its object times this, plus its state
 
 
 def _kinds() -> npt.NDArray[np.int8]:
@@ -103,12 +89,10 @@ def retina(
 def retina_of_codes(
     codes: npt.NDArray[np.intp], view: int, match: npt.NDArray[np.bool_] | None = None
 ) -> npt.NDArray[np.float64]:
-    """Return the `retina` of the codes of cells, (batch, v²).
+    """Return the `retina` of the codes of the cells in a ``view`` v wide, (batch, v²).
 
-    Args:
-        codes: Of each cell in view, `OBJECT_FACTOR` times its object plus its state, (batch, v²).
-        view: The width v of the view in cells.
-        match: Which cells hold the things that each mission names, (batch, k, v²).
+    A code is `OBJECT_FACTOR` times the object plus the state. ``match`` says which cells hold the things that each
+    mission names, (batch, k, v²).
     """
     n, n_cells = codes.shape
     sight = _sight(view)
@@ -136,11 +120,8 @@ def retina_of_codes(
 def retina_of_one(cells: bytes, view: int, size: int, asked: Iterable[Sequence[int]] = ()) -> npt.NDArray[np.float64]:
     """Return the `retina` of one image, (1, size), for a step of an agent: numpy calls would take three times as long.
 
-    Args:
-        cells: The one-hot code of each cell, v² · `DEPTH` bytes.
-        view: The width v of the view in cells.
-        size: Number of features; those of things that the mission does not name are 0.
-        asked: Object and colour of the things that the mission names.
+    ``cells`` is the one-hot code of each cell in a ``view`` v wide, v² · `DEPTH` bytes. ``asked`` are object and colour
+    of the things that the mission names. Features of things that it does not name are 0.
     """
     sight = _sight(view)
     absent = view * view
@@ -173,25 +154,15 @@ def _ones(code: bytes) -> Iterator[int]:
 
 
 class _Sight(NamedTuple):
-    """The cells of a view.
+    """The cells of a view."""
 
-    Attributes:
-        farthest_first: Cell indices from the most steps from the agent to the fewest, ties from the last column, (v²,).
-        countdown: v² − 1, ..., 0: the number of each of these cells, counted from the nearest.
-        places: Features of a thing in the cell of each such number, and of an absent one, (v² + 1, 3).
-        around: Indices of the cells ahead, to the left and to the right.
-        ranks: Each cell's number among the nearest.
-        rows: ``places`` as lists.
-        neighbours: ``around`` as a list.
-    """
-
-    farthest_first: npt.NDArray[np.intp]
-    countdown: npt.NDArray[np.intp]
-    places: npt.NDArray[np.float64]
-    around: npt.NDArray[np.intp]
-    ranks: list[int]
-    rows: list[list[float]]
-    neighbours: list[int]
+    farthest_first: npt.NDArray[np.intp]  # (v²,) from the most steps from the agent, ties from the last column
+    countdown: npt.NDArray[np.intp]  # v² − 1, ..., 0: the number of each of these cells, counted from the nearest
+    places: npt.NDArray[np.float64]  # features of a thing in the cell of each such number, and of none, (v² + 1, 3)
+    around: npt.NDArray[np.intp]  # the cells ahead, to the left and to the right
+    ranks: list[int]  # each cell's number among the nearest
+    rows: list[list[float]]  # `places`
+    neighbours: list[int]  # `around`
 
 
 @lru_cache
@@ -275,14 +246,10 @@ def _seeing(group: dict[str, Any]) -> dict[str, Any]:
         door = _group(before)
         features, scale = features + door["features"], scale + door["scale"]
         present = [present[0] + door["present"][0]]
-    coordinates = [number for number in features if _is_coordinate(number)]
+    # The first feature of each thing is its visibility, the other two are coordinates.
+    coordinates = [each for each in features if each % 3 != 0 and not 3 * N_KINDS <= each < len(FEATURES)]
     seen = {"features": features, "present": present, "scale": scale, "coordinates": coordinates}
     return {**group, "seen": {"name": group["name"], **seen}}
-
-
-def _is_coordinate(number: int) -> bool:
-    """Whether a feature is a coordinate of a thing. The first feature of each thing is its visibility."""
-    return number % 3 != 0 and not 3 * N_KINDS <= number < len(FEATURES)
 
 
 def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:

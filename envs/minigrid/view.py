@@ -11,19 +11,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+# Object, colour and state of a cell, numbered as in ``minigrid.core.constants``.
 WALL_CODE = b"\x02\x05\x00"
 EMPTY_CODE = b"\x01\x00\x00"
 UNSEEN_CODE = b"\x00\x00\x00"
-"""Object, colour and state of a cell, numbered as in ``minigrid.core.constants``."""
 
 
 def see_quickly(env: Any) -> None:
     """Let a MiniGrid environment compute its observations with `image_of`.
 
     An environment with its own ``gen_obs`` or ``gen_obs_grid`` stays unchanged.
-
-    Args:
-        env: A ``MiniGridEnv``, without wrappers.
     """
     from minigrid.minigrid_env import MiniGridEnv
 
@@ -37,11 +34,7 @@ def _observation(env: Any) -> dict[str, Any]:
 
 
 def image_of(env: Any) -> npt.NDArray[np.uint8]:
-    """Return the agent's view (v, v, 3): column, row, and object, colour and state.
-
-    Args:
-        env: A ``MiniGridEnv``.
-    """
+    """Return the agent's view (v, v, 3) of a ``MiniGridEnv``: column, row, and object, colour and state."""
     view = env.agent_view_size
     left, top, _, _ = env.get_view_exts(view)
     width = env.grid.width
@@ -56,15 +49,8 @@ def image_of(env: Any) -> npt.NDArray[np.uint8]:
             transparent.append(False)
             continue
         thing = cells[y * width + x]
-        if thing is None:
-            codes.append(EMPTY_CODE)
-            transparent.append(True)
-        elif thing.type == "wall":
-            codes.append(bytes(thing.encode()))
-            transparent.append(False)
-        else:
-            codes.append(bytes(thing.encode()))
-            transparent.append(thing.see_behind())
+        codes.append(EMPTY_CODE if thing is None else bytes(thing.encode()))
+        transparent.append(thing is None or thing.see_behind())
     agent = view // 2 * view + view - 1
     if not env.see_through_walls:
         for cell, seen in enumerate(_visible(transparent, view)):

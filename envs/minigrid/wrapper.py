@@ -25,13 +25,12 @@ from sb3_options.envs.minigrid.retina import (
 )
 from sb3_options.envs.minigrid.view import see_quickly
 
+# Wrappers of MiniGrid whose images are not the agent's view, cell by cell.
 OTHER_IMAGES = (
     "FullyObsWrapper", "OneHotPartialObsWrapper", "RGBImgObsWrapper", "RGBImgPartialObsWrapper", "SymbolicObsWrapper",
 )  # fmt: skip
-"""Wrappers of MiniGrid whose images are not the agent's view, cell by cell."""
-
+# Wrappers of MiniGrid that add a bonus to rewards, so that a death may end with a positive reward.
 OTHER_REWARDS = ("ActionBonus", "PositionBonus")
-"""Wrappers of MiniGrid that add a bonus to rewards, so that a death may end with a positive reward."""
 
 Vector = npt.NDArray[np.uint8]
 
@@ -71,8 +70,10 @@ class MiniGridWrapper(
         space: Any = env.observation_space
         self._view = _view_of(env)
         _check_rewards(env)
+        from minigrid.envs.babyai.core.roomgrid_level import BabyAIMissionSpace  # here, because it may be missing
+
         missions = space["mission"] if mission and "mission" in space.spaces else None
-        self._missions = Instructions() if _is_babyai(missions) else Missions(missions)
+        self._missions = Instructions() if isinstance(missions, BabyAIMissionSpace) else Missions(missions)
         self._n_asked = self._missions.n_things if asked else 0
         self.feature_names = feature_names(MOST_ASKED if asked else 0)
         see_quickly(env.unwrapped)
@@ -139,15 +140,12 @@ class MiniGridWrapper(
         return concept_groups(self._n_asked)
 
 
+# Object, colour and state for each position of a cell's code, which is one-hot in each of the three. It is in floating
+# point, because numpy multiplies integer matrices without BLAS, which takes three times as long.
 _WORTH = np.zeros((DEPTH, 3), dtype=np.float32)
-"""Object, colour and state for each position of a cell's code, which is one-hot in each of the three.
-
-It is in floating point, because numpy multiplies integer matrices without BLAS, which takes three times as long."""
 for _channel, _n, _first in ((0, OBJECTS, 0), (1, COLOURS, OBJECTS), (2, STATES, OBJECTS + COLOURS)):
     _WORTH[_first : _first + _n, _channel] = np.arange(_n)
-
-_CODE = _WORTH @ np.array([OBJECT_FACTOR, 0, 1], dtype=np.float32)
-"""What each position adds to the code of a cell, for `retina_of_codes`."""
+_CODE = _WORTH @ np.array([OBJECT_FACTOR, 0, 1], dtype=np.float32)  # what each adds to the code of a cell
 
 
 def _images(cells: npt.NDArray[np.uint8], view: int) -> npt.NDArray[np.uint8]:
@@ -191,13 +189,6 @@ def _view_of(env: gym.Env[Any, Any]) -> int:
         )
     assert shape is not None  # an image
     return int(shape[0])
-
-
-def _is_babyai(missions: Any) -> bool:
-    """Whether missions are instructions of BabyAI's grammar."""
-    from minigrid.envs.babyai.core.roomgrid_level import BabyAIMissionSpace
-
-    return isinstance(missions, BabyAIMissionSpace)
 
 
 def _check_rewards(env: gym.Env[Any, Any]) -> None:

@@ -9,39 +9,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sb3_options.envs.pioneer.body import BALL_RADIUS, BODY_RADIUS
+from sb3_options.state import storable
 
-WALL_HEIGHT = 0.4
-"""m; above the sonar ring."""
+WALL_HEIGHT = 0.4  # m; above the sonar ring
+WALL_THICKNESS = 0.1  # m
+OBSTACLE_RADIUS = 0.15  # m
+CORNER_SIZE = 0.8  # side of the marked square corner, m
 
-WALL_THICKNESS = 0.1
-"""m."""
+# Least initial distances, m. The robot's are of the middle of its axle: turning freely takes 0.41 m, turning with a
+# ball 0.82 m. A ball's are of its centre: the robot can reach it from all sides.
+ROBOT_CLEARANCE = 0.5  # between the robot and walls or obstacles
+BALL_CLEARANCE = 0.6  # between a ball and walls or obstacles
+START_DISTANCE = 0.8  # between the robot and a ball, and between two balls
+PASSAGE = 0.85  # free width between obstacles, and between obstacle and wall
 
-OBSTACLE_RADIUS = 0.15
-"""m."""
+N_PROBES = 200  # placements tried before an arena counts as too small
+N_SPOTS = 20  # places tried for one thing of a placement
 
-CORNER_SIZE = 0.8
-"""Side of the marked square corner, m."""
-
-ROBOT_CLEARANCE = 0.5
-"""Least initial distance of the middle of the robot's axle from walls and obstacles, m. Turning freely takes 0.41 m."""
-
-BALL_CLEARANCE = 0.6
-"""Least initial distance of a ball's centre from walls and obstacles, m. The robot can reach it from all sides."""
-
-PASSAGE = 0.85
-"""Free width between obstacles, and between obstacle and wall, m. The robot needs 0.82 m to turn with a ball."""
-
-START_DISTANCE = 0.8
-"""Least initial distance between the robot and a ball, and between two balls, m."""
-
-N_PROBES = 200
-"""Number of placements tried before an arena counts as too small."""
-
-N_SPOTS = 20
-"""Number of places tried for one thing of a placement."""
-
-GRIPPER_AHEAD, GRIPPER_RADIUS = 0.28, 0.14
-"""A circle around the paddles: its centre, m ahead of the axle, and its radius, m."""
+GRIPPER_AHEAD, GRIPPER_RADIUS = 0.28, 0.14  # circle around the paddles: centre ahead of the axle and radius, m
 
 Position = tuple[float, float]
 Distance = tuple[Sequence[Position], float]
@@ -63,18 +48,13 @@ class Cylinder(NamedTuple):
     height: float
 
 
+@storable
 class Placement(NamedTuple):
-    """Initial places of things.
+    """Initial places of things."""
 
-    Attributes:
-        robot: x, y of the axle's middle, m, and heading, rad, counter-clockwise from +x.
-        balls: x, y of each ball, m.
-        obstacles: x, y of each obstacle's middle, m.
-    """
-
-    robot: Pose
-    balls: tuple[Position, ...]
-    obstacles: tuple[Position, ...]
+    robot: Pose  # x, y of the axle's middle, m, and heading, rad, counter-clockwise from +x
+    balls: tuple[Position, ...]  # x, y of each, m
+    obstacles: tuple[Position, ...]  # x, y of each middle, m
 
 
 class Arena:

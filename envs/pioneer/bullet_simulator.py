@@ -173,7 +173,7 @@ class BulletSimulator(Simulator):
             halfExtents=[box.half_sides for box in boxes] + [(0, 0, 0)] * len(cylinders),
             radii=[0] * len(boxes) + [cylinder.radius for cylinder in cylinders],
             lengths=[0] * len(boxes) + [cylinder.height for cylinder in cylinders],
-            collisionFramePositions=[each.middle for each in (*boxes, *cylinders)],
+            collisionFramePositions=[box.middle for box in boxes] + [cylinder.middle for cylinder in cylinders],
             physicsClientId=client,
         )
         solid = int(p.createMultiBody(0, shape, self._looks, physicsClientId=client))

@@ -14,22 +14,12 @@ from gymnasium import spaces
 from gymnasium.core import RenderFrame
 from numpy.typing import NDArray
 
-from sb3_options.envs.checks import count, number, one_of, step_limit
+from sb3_options.envs.checks import batch, count, number, one_of, step_limit
+from sb3_options.envs.pioneer import senses
 from sb3_options.envs.pioneer.arena import Arena, Placement, Pose, Position
 from sb3_options.envs.pioneer.body import BALL_RADIUS, CONTROL_RATE
 from sb3_options.envs.pioneer.bullet_simulator import BulletSimulator
 from sb3_options.envs.pioneer.robot import PioneerRobot
-from sb3_options.envs.pioneer.senses import (
-    FIELD_OF_VIEW,
-    MAX_WIDTH,
-    N_PIXELS,
-    SONAR_MAX,
-    SONAR_MIN,
-    SONARS,
-    Sensed,
-    Senses,
-    retina,
-)
 from sb3_options.envs.pioneer.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -42,15 +32,10 @@ RenderMode = Literal["human", "rgb_array", "rgb_array_list"]
 
 
 class Motion(NamedTuple):
-    """A primitive action.
+    """A primitive action."""
 
-    Attributes:
-        distance: m ahead.
-        turn: rad to the left.
-    """
-
-    distance: float = 0.0
-    turn: float = 0.0
+    distance: float = 0.0  # m ahead
+    turn: float = 0.0  # rad to the left
 
 
 ACTIONS = (
@@ -81,7 +66,7 @@ MAX_ARENA_SIZE = 100.0
 MAX_STEPS = 500
 """Default step limit. A good policy needs a dozen steps."""
 
-N_SONARS = len(SONARS)
+N_SONARS = len(senses.SONARS)
 VISIBLE, DISPLACEMENT, WIDTH, GRIPPING = range(N_SONARS, N_SONARS + 4)
 """Their indices in the observation, after the sonars' ranges."""
 
@@ -165,7 +150,7 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         self.observation_space = _observation_space(self._with_retina)
 
         self._robot = PioneerRobot(self.simulator)
-        self._senses = Senses(self.simulator, can_hide=n_obstacles > 0)
+        self._senses = senses.Senses(self.simulator, can_hide=n_obstacles > 0)
         self._renderer: Renderer | None = None
         self._pictures: list[RenderFrame] = []
         self._ticks = 0
@@ -175,7 +160,7 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         elif self.render_mode == "human":
             self._robot.on_tick = _wait
         self._placement: Placement | None = None
-        self._sensed = Sensed([], [])
+        self._sensed = senses.Sensed([], [])
         self._deposited: list[Position] = []
         self._elapsed = 0
         self._over = False
@@ -270,13 +255,7 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         Returns:
             Displacement and width, rad, shape (batch, 2); both are 0 if no ball is visible.
         """
-        observations = np.asarray(observations)
-        expected = self.observation_space.shape
-        if observations.ndim == 0 or observations.shape[1:] != expected:
-            raise ValueError(
-                f"observations must be a batch of observations of shape {expected} each, got shape {observations.shape}"
-            )
-        return observations[:, [DISPLACEMENT, WIDTH]].astype(np.float64)
+        return batch(observations, self.observation_space)[:, [DISPLACEMENT, WIDTH]].astype(np.float64)
 
     def render(self) -> RenderFrame | list[RenderFrame] | None:
         """Draw the arena from above; in render mode "human" the simulator has its own window.
@@ -309,9 +288,9 @@ class PioneerTask(gymnasium.Env[NDArray[np.float32], np.int64], ABC):
         robot = self._robot
         self._sensed = self._senses.look(robot.pose, robot.balls.values())
         ranges, seen = self._sensed
-        ball = (1.0, seen[0].displacement, min(seen[0].width, MAX_WIDTH)) if seen else (0.0, 0.0, 0.0)
+        ball = (1.0, seen[0].displacement, min(seen[0].width, senses.MAX_WIDTH)) if seen else (0.0, 0.0, 0.0)
         numbers = np.array((*ranges, *ball, robot.held is not None), dtype=np.float32)
-        return np.concatenate((numbers, retina(seen))) if self._with_retina else numbers
+        return np.concatenate((numbers, senses.retina(seen))) if self._with_retina else numbers
 
     def _film(self) -> None:
         """Take a picture every few ticks of an action."""
@@ -357,10 +336,10 @@ def _wait() -> None:
 
 
 def _observation_space(with_retina: bool) -> spaces.Space[NDArray[np.float32]]:
-    low = [SONAR_MIN] * N_SONARS + [0, -FIELD_OF_VIEW / 2, 0, 0]
-    high = [SONAR_MAX] * N_SONARS + [1, FIELD_OF_VIEW / 2, MAX_WIDTH, 1]
+    low = [senses.SONAR_MIN] * N_SONARS + [0, -senses.FIELD_OF_VIEW / 2, 0, 0]
+    high = [senses.SONAR_MAX] * N_SONARS + [1, senses.FIELD_OF_VIEW / 2, senses.MAX_WIDTH, 1]
     if with_retina:
-        low += [0] * N_PIXELS
-        high += [1] * N_PIXELS
+        low += [0] * senses.N_PIXELS
+        high += [1] * senses.N_PIXELS
     space: spaces.Space[Any] = spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
     return space

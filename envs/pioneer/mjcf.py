@@ -14,11 +14,10 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from sb3_options.envs.pioneer import body
 from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement
 
+# Parts of the robot that touch walls and balls. Its wheels do not: they are balls that stick out of the body.
 BODY_GEOMS = ("body", "left paddle", "right paddle")
-"""Parts of the robot that touch walls and balls. Its wheels do not: they are balls that stick out of the body."""
 
-SOLID_GROUP, OTHER_GROUP = 1, 0
-"""Groups of geoms: walls and obstacles, which rays hit, and all others."""
+SOLID_GROUP, OTHER_GROUP = 1, 0  # groups of geoms: walls and obstacles, which rays hit, and all others
 
 MOTOR_GAIN = 0.95
 """N m s / rad. With it each action takes as long as in PyBullet (12, 18, 27, 9 and 18 ticks for the five sizes), and
@@ -29,23 +28,18 @@ HARDNESS = {"solref": f"{2 / body.PHYSICS_RATE:g} 1", "solimp": "0.9 0.95 0.001"
 """As hard as MuJoCo's default contacts and the time step allow. With harder ones the wheels hop when the gripper closes
 on a ball, and spin up in the air. Actions then take up to twice as long as in PyBullet."""
 
+# Depth of robot and balls in the floor at rest, m. They start there, because without pressure there is no friction.
 SINK = 6e-4
-"""Depth of robot and balls in the floor at rest, m. They start there, because without pressure there is no friction."""
+
+_UNPAIRED = {"contype": "0", "conaffinity": "0"}  # only listed pairs touch
 
 
 def mjcf(placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> str:
     """Return the scene as MJCF."""
     root = Element("mujoco", model="Pioneer 2-DX")
     _add(root, "compiler", angle="radian", autolimits="true")
-    _add(
-        root,
-        "option",
-        timestep=repr(1 / body.PHYSICS_RATE),
-        gravity=_numbers(0, 0, -body.GRAVITY),
-        integrator="Euler",
-        cone="elliptic",
-        impratio="10",
-    )
+    physics = {"timestep": repr(1 / body.PHYSICS_RATE), "gravity": _numbers(0, 0, -body.GRAVITY)}
+    _add(root, "option", **physics, integrator="Euler", cone="elliptic", impratio="10")
     world = _add(root, "worldbody")
     _add(world, "geom", name="floor", type="plane", size="0 0 1", group=str(OTHER_GROUP), **_UNPAIRED)
     solid = {"group": str(SOLID_GROUP), **_UNPAIRED}
@@ -84,10 +78,6 @@ def ball_name(i: int) -> str:
 def grip_name(i: int) -> str:
     """Return the name of the constraint between gripper and ball, active only while the gripper holds it."""
     return f"grip {i}"
-
-
-_UNPAIRED = {"contype": "0", "conaffinity": "0"}
-"""Only listed pairs touch."""
 
 
 def _add_robot(world: Element, placement: Placement) -> None:

@@ -17,15 +17,9 @@ from sb3_options.envs.pioneer.mjcf import BODY_GEOMS, SOLID_GROUP, ball_name, gr
 from sb3_options.envs.pioneer.simulator import Point, Simulator
 from sb3_options.extras import how_to_install
 
-TICK = body.PHYSICS_RATE // body.CONTROL_RATE
-"""Physics steps per controller tick."""
-
-N_GROUPS = 6
-"""Number of MuJoCo's geom groups."""
-
-
-BALL_INERTIA = 0.4 * body.BALL_MASS * body.BALL_RADIUS**2
-"""kg m²."""
+TICK = body.PHYSICS_RATE // body.CONTROL_RATE  # physics steps per controller tick
+N_GROUPS = 6  # of MuJoCo's geoms
+BALL_INERTIA = 0.4 * body.BALL_MASS * body.BALL_RADIUS**2  # kg m²
 
 
 def load_mujoco() -> ModuleType:

@@ -10,81 +10,54 @@ from sb3_options.envs.pioneer.arena import Box, Cylinder, Placement, Pose, Posit
 from sb3_options.envs.pioneer.body import AXLE_TRACK, BALL_RADIUS, CONTROL_RATE, PADDLE_OPENING, WHEEL_RADIUS
 from sb3_options.envs.pioneer.simulator import Simulator
 
-BEAM_AHEAD = 0.30
-"""Place of the break-beam between the paddles, m ahead of the axle."""
-
+BEAM_AHEAD = 0.30  # place of the break-beam between the paddles, m ahead of the axle
+# A ball is between the paddles, not in front of one, if its centre is this close to the middle, m.
 BEAM_HALF_WIDTH = PADDLE_OPENING / 2 - BALL_RADIUS + 0.02
-"""A ball is between the paddles, not in front of one, if its centre is this close to the middle, m."""
 
 
 class PDController(NamedTuple):
-    """Turns the remaining way and the current velocity into a velocity command.
+    """Turns the remaining way and the current velocity into a velocity command."""
 
-    Attributes:
-        p: Proportional gain, 1/s.
-        d: Derivative gain.
-        top: Velocity limit, unit/s.
-        acceleration: Limit on the increase of the command, unit/s².
-        braking: Deceleration that can still stop the commanded velocity in time, unit/s².
-    """
-
-    p: float
-    d: float
-    top: float
-    acceleration: float
-    braking: float
+    p: float  # proportional gain, 1/s
+    d: float  # derivative gain
+    top: float  # velocity limit, unit/s
+    acceleration: float  # limit on the increase of the command, unit/s²
+    braking: float  # deceleration that can still stop the commanded velocity in time, unit/s²
 
     def command(self, error: float, velocity: float, last: float) -> float:
         """Return the next command: p · error − d · velocity, within the limits.
 
-        Args:
-            error: The remaining way, in the controller's unit.
-            velocity: The measured velocity, unit/s.
-            last: The last command, unit/s.
+        ``error`` is the remaining way, ``velocity`` measured, and ``last`` the last command.
         """
         limit = min(self.top, math.sqrt(2 * self.braking * abs(error)), abs(last) + self.acceleration / CONTROL_RATE)
         return min(max(self.p * error - self.d * velocity, -limit), limit)
 
 
+# In m. The 2-DX drives up to 1.6 m/s. 3 m/s² takes 27 N, which the tyres can hold.
 DISTANCE_CONTROLLER = PDController(p=10.0, d=0.1, top=1.2, acceleration=3.0, braking=3.0)
-"""In m. The 2-DX drives up to 1.6 m/s. 3 m/s² takes 27 N, which the tyres can hold."""
-
+# In rad. The 2-DX turns up to 300 degrees/s.
 HEADING_CONTROLLER = PDController(p=12.0, d=0.1, top=math.radians(230), acceleration=15.0, braking=15.0)
-"""In rad. The 2-DX turns up to 300 degrees/s."""
 
-DISTANCE_TOLERANCE = 0.006
-"""An action is settled only if the robot is this close to its target, m."""
-
+# An action is settled once the robot is this close to its target and heading, and slower than this.
+DISTANCE_TOLERANCE = 0.006  # m
 HEADING_TOLERANCE = math.radians(0.6)
-"""An action is settled only if the robot is this close to its heading, rad."""
+SETTLED_SPEED = 0.05  # m/s
+SETTLED_TURN_RATE = 0.1  # rad/s
+TIME_LIMIT = 3  # an action that has not settled ends after this time, s
 
-SETTLED_SPEED = 0.05
-"""An action is settled only if the robot is slower than this, m/s."""
-
-SETTLED_TURN_RATE = 0.1
-"""An action is settled only if the robot turns slower than this, rad/s."""
-
-TIME_LIMIT = 3
-"""An action that has not settled ends after this time, s."""
-
-BACK_OFF = 0.05
-"""Distance that the robot rolls back from a wall after a touch, m: enough to turn away without another touch."""
+BACK_OFF = 0.05  # m that the robot rolls back from a wall after a touch: enough to turn away without another touch
 
 
 class PioneerRobot:
-    """The robot in its scene.
+    """The robot in its scene."""
 
-    Attributes:
-        pose: x, y of the axle's middle, m, and heading, rad, of the last tick.
-        balls: x, y of the centre of each ball still in the arena, m, after the last action.
-        held: Index of the ball in the gripper, or None.
-    """
+    STATE = ("pose", "balls", "held")
 
     def __init__(self, simulator: Simulator) -> None:
         self._simulator = simulator
-        self.pose: Pose = (0.0, 0.0, 0.0)
-        self.balls: dict[int, Position] = {}
-        self.held: int | None = None
+        self.pose: Pose = (0.0, 0.0, 0.0)  # x, y of the axle's middle, m, and heading, rad, of the last tick
+        self.balls: dict[int, Position] = {}  # centres of those still in the arena, m, after the last action
+        self.held: int | None = None  # index of the ball in the gripper
         self.on_tick: Callable[[], None] | None = None
 
     def build(self, placement: Placement, walls: Sequence[Box], obstacles: Sequence[Cylinder]) -> None:
@@ -95,16 +68,10 @@ class PioneerRobot:
         self.pose = placement.robot
 
     def carry_out(self, distance: float, turn: float) -> bool:
-        """Move ahead, or turn, until the controllers have settled.
+        """Move ahead (m), or turn (rad to the left), until the controllers have settled.
 
-        A robot that touches a wall or an obstacle stops, rolls back by `BACK_OFF` and turns to its earlier heading.
-
-        Args:
-            distance: m ahead.
-            turn: rad to the left.
-
-        Returns:
-            Whether the robot, or the ball in its gripper, touched a wall or an obstacle.
+        A robot that touches a wall or an obstacle, or whose ball in the gripper does, stops, rolls back by `BACK_OFF`
+        and turns to its earlier heading. Return whether it did.
         """
         # Looked up once, not in each of some 16 ticks.
         drive, is_touching = self._simulator.drive, self._simulator.is_touching
@@ -147,8 +114,7 @@ class PioneerRobot:
     def release(self) -> Position:
         """Open the gripper, take the ball away, and return its last position."""
         ball = self.held
-        if ball is None:
-            raise RuntimeError("release() was called with no ball in the gripper")
+        assert ball is not None  # `PioneerTask.step` has asked
         self._simulator.take_away(ball)
         self.held = None
         return self.balls.pop(ball)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sb3_options.envs.pioneer.arena import Pose
 from sb3_options.envs.pioneer.body import BALL_RADIUS, BODY_RADIUS
 from sb3_options.envs.pioneer.simulator import Simulator
+from sb3_options.state import storable
 
 SONARS = tuple(
     (x / 1000, y / 1000, math.radians(heading))
@@ -35,28 +36,19 @@ The paper's robot has seven sonars, like the front ring of the Pioneer 1. The fr
 ARIA, section "Sonar parameters").
 """
 
-SONAR_HEIGHT = 0.19
-"""m above the floor, just below the deck. The balls (16 cm) are lower, so sonars see only walls and obstacles."""
+SONAR_HEIGHT = 0.19  # m above the floor, just below the deck. Balls (16 cm) are lower: sonars do not see them.
+SONAR_MIN, SONAR_MAX = 0.1, 5.0  # m, of the Pioneer's sonars. Nearer or farther objects read as the bound.
 
-SONAR_MIN, SONAR_MAX = 0.1, 5.0
-"""m; the Pioneer's sonars range from 10 cm to 5 m. Nearer or farther objects read as the bound."""
-
-FIELD_OF_VIEW = math.radians(140)
-"""rad, McGovern & Barto (2001), §7."""
-
-CAMERA_AHEAD = 0.10
-"""m ahead of the axle, on the robot's middle line. The camera looks at balls at the height of their centres."""
-
+FIELD_OF_VIEW = math.radians(140)  # McGovern & Barto (2001), §7
+CAMERA_AHEAD = 0.10  # m ahead of the axle, on the robot's middle line, at the height of the balls' centres
+# Angular width of a ball that touches the body's front, rad. No ball can be nearer.
 MAX_WIDTH = 2 * math.asin(BALL_RADIUS / (BODY_RADIUS + BALL_RADIUS - CAMERA_AHEAD))
-"""Angular width of a ball that touches the body's front, rad. No ball can be nearer."""
 
-N_PIXELS = 70
-"""Pixels of the raw retina, 2 degrees each."""
-
-N_RAYS = 16
-"""Rays to each ball, one per equal part of its interval. A part is hidden if its ray does not arrive."""
+N_PIXELS = 70  # of the raw retina, 2 degrees each
+N_RAYS = 16  # to each ball, one per equal part of its interval. A part is hidden if its ray does not arrive.
 
 
+@storable
 class Sighting(NamedTuple):
     """The visible part of a ball: its left and right edge, rad."""
 
@@ -74,6 +66,7 @@ class Sighting(NamedTuple):
         return self.left - self.right
 
 
+@storable
 class Sensed(NamedTuple):
     """The robot's sensations at one time: the sonars' ranges, m, and the balls in view, widest first."""
 
@@ -95,14 +88,9 @@ class Senses:
         starts, ends = [], []
         for ahead, left, angle in SONARS:
             start_x, start_y = x + ahead * cos - left * sin, y + ahead * sin + left * cos
+            way_x, way_y = SONAR_MAX * math.cos(heading + angle), SONAR_MAX * math.sin(heading + angle)
             starts.append((start_x, start_y, SONAR_HEIGHT))
-            ends.append(
-                (
-                    start_x + SONAR_MAX * math.cos(heading + angle),
-                    start_y + SONAR_MAX * math.sin(heading + angle),
-                    SONAR_HEIGHT,
-                )
-            )
+            ends.append((start_x + way_x, start_y + way_y, SONAR_HEIGHT))
         eye_x, eye_y = x + CAMERA_AHEAD * cos, y + CAMERA_AHEAD * sin
         sightings = []
         for ball_x, ball_y in balls:
@@ -115,10 +103,9 @@ class Senses:
                     step = sighting.width / N_RAYS
                     for i in range(N_RAYS):
                         angle = heading + sighting.left - (i + 0.5) * step
+                        way_x, way_y = distance * math.cos(angle), distance * math.sin(angle)
                         starts.append((eye_x, eye_y, BALL_RADIUS))
-                        ends.append(
-                            (eye_x + distance * math.cos(angle), eye_y + distance * math.sin(angle), BALL_RADIUS)
-                        )
+                        ends.append((eye_x + way_x, eye_y + way_y, BALL_RADIUS))
         fractions = self._simulator.ray_fractions(starts, ends)
         n = len(SONARS)
         ranges = [min(max(fraction * SONAR_MAX, SONAR_MIN), SONAR_MAX) for fraction in fractions[:n]]
@@ -128,8 +115,7 @@ class Senses:
                 for i, sighting in enumerate(sightings)
             ]
             sightings = [part for part in parts if part is not None]
-        if len(sightings) > 1:
-            sightings.sort(key=lambda sighting: -sighting.width)
+        sightings.sort(key=lambda sighting: -sighting.width)
         return Sensed(ranges, sightings)
 
 
