@@ -7,15 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
+from stable_baselines3.common import vec_env
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import (
-    VecEnv,
-    VecEnvWrapper,
-    VecFrameStack,
-    VecNormalize,
-    VecTransposeImage,
-    is_vecenv_wrapped,
-)
+from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, is_vecenv_wrapped
 
 from sb3_options.callbacks.cloning import can_clone, check_clonable
 from sb3_options.callbacks.tree import check_every_step
@@ -119,9 +113,9 @@ def _check_nothing_above_changes_observations(venv: VecEnv) -> None:
     """Refuse wrappers above `OptionsWrapper` that change observations: options act on those beneath."""
     seen: spaces.Space[Any] = venv.get_attr("traits", [0])[0].observation_space
     changes = []
-    while isinstance(venv, VecEnvWrapper) and not isinstance(venv, OptionsVecEnv):
+    while isinstance(venv, vec_env.VecEnvWrapper) and not isinstance(venv, OptionsVecEnv):
         # The changes of these three are undone before options see observations.
-        if not isinstance(venv, (VecNormalize, VecTransposeImage, VecFrameStack)):
+        if not isinstance(venv, (vec_env.VecNormalize, vec_env.VecTransposeImage, VecFrameStack)):
             changes.append((venv.venv.observation_space, venv.observation_space))
         venv = venv.venv
     for beneath, above in [*changes, (seen, venv.observation_space)]:

@@ -1,8 +1,6 @@
 """A policy begins with the decisions of demonstrations, over primitives and options.
 
-Policies that sample are fitted to them by maximum likelihood (behaviour cloning). Action values are fitted by a large
-margin, which stays part of later updates with a falling weight, as in deep Q-learning from demonstrations (Hester et
-al. 2018).
+Policies that sample are fitted to them by behaviour cloning (`clone`), action values by a large margin (`MarginLoss`).
 """
 
 import math
@@ -25,22 +23,16 @@ from sb3_options.learning.replay_buffer import OptionReplayBuffer
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.segmentation import explained
 
-UPDATES = 1000
-"""Gradient steps before the first step of training."""
-
+UPDATES = 1000  # gradient steps before the first step of training
+TARGET_UPDATES = 100  # of these between two copies to the target network
 BATCH_SIZE, LEARNING_RATE = 256, 1e-3
-
-MAX_GRAD_NORM = 0.5
-"""Longest gradient, as in SB3's PPO."""
+MAX_GRAD_NORM = 0.5  # longest gradient, as in SB3's PPO
 
 MARGIN = 0.8
 """By how much the value of a demonstrated decision should exceed all others (Hester et al. 2018)."""
 
 FALLS_OVER = 0.5
 """Share of training over which the weight of the margin falls to 0: measured in docs/studies/demonstrations.md."""
-
-TARGET_UPDATES = 100
-"""Gradient steps between two copies to the target network, before the first step of training."""
 
 
 def can_clone(model: BaseAlgorithm) -> bool:
@@ -61,12 +53,8 @@ def check_clonable(venv: VecEnv) -> None:
 class Imitation:
     """The decisions of demonstrations, as a loss of a policy: their negative log likelihood (Pomerleau 1991).
 
-    Of several options that explain a step, the decision is the one that takes the demonstration farthest.
-
-    Args:
-        model: One that `can_clone`, with the heads of the options open.
-        bank: The options, which are decisions, too.
-        demonstrations: Successful ones.
+    Of several options that explain a step, the decision is the one that takes the demonstration farthest. The model
+    `can_clone`, and the heads of its options are open. The demonstrations are successful.
     """
 
     STATE = ("_generator",)
@@ -116,9 +104,7 @@ class MarginLoss(Imitation):
     may become better than the demonstrations. Decisions follow the options of the bank when these change.
     """
 
-    def __init__(self, model: Any, bank: OptionBank, demonstrations: Sequence[Trajectory]) -> None:
-        super().__init__(model, bank, demonstrations)
-        self._hook: RemovableHandle | None = None
+    _hook: RemovableHandle | None = None
 
     def loss(self) -> torch.Tensor:
         """Return the loss of a random batch."""
@@ -159,10 +145,7 @@ def clone(model: Any, bank: OptionBank, demonstrations: Sequence[Trajectory]) ->
     """Fit a policy that samples to the decisions of demonstrations by maximum likelihood.
 
     The value function is left alone: fitted to successes only, it takes every failure for a surprise, and the first
-    updates of PPO undo what was cloned. Arguments are those of `Imitation`.
-
-    Returns:
-        The mean probability of the last batch's decisions (geometric).
+    updates of PPO undo what was cloned. Return the mean probability of the last batch's decisions (geometric).
     """
     imitation = Imitation(model, bank, demonstrations)
     _begin_statistics(model, imitation.states)
@@ -184,8 +167,7 @@ def fit_values(imitation: MarginLoss, buffer: OptionReplayBuffer) -> None:
     They are rows like all others, and are overwritten once the buffer is full.
     """
     model = imitation.model
-    _begin_statistics(model, imitation.states)
-    _begin_return_statistics(model, imitation.demonstrations)
+    _begin_statistics(model, imitation.states, imitation.demonstrations)
     for trajectory in imitation.demonstrations:
         _store(trajectory, imitation.bank, buffer, model.gamma)
     model._update_current_progress_remaining(model.num_timesteps, model._total_timesteps)  # for the learning rate
@@ -229,21 +211,18 @@ def _store(trajectory: Trajectory, bank: OptionBank, buffer: OptionReplayBuffer,
         at = to
 
 
-def _begin_statistics(model: Any, observations: Observations) -> None:
-    """Let the statistics of observations begin with those of the demonstrations."""
+def _begin_statistics(model: Any, observations: Observations, rewarded: Sequence[Trajectory] = ()) -> None:
+    """Let the statistics of observations and returns begin with those of demonstrations."""
     normalizer: VecNormalize | None = model.get_vec_normalize_env()
-    if normalizer is not None and normalizer.norm_obs and normalizer.training:
+    if normalizer is None or not normalizer.training:
+        return
+    if normalizer.norm_obs:
         if isinstance(normalizer.obs_rms, dict):
             for key, statistics in normalizer.obs_rms.items():
                 statistics.update(observations[key])
         else:
             normalizer.obs_rms.update(observations)
-
-
-def _begin_return_statistics(model: Any, demonstrations: Sequence[Trajectory]) -> None:
-    """Let the statistics of returns begin with those of the demonstrations: the rewards are divided by them."""
-    normalizer: VecNormalize | None = model.get_vec_normalize_env()
-    if normalizer is not None and normalizer.norm_reward and normalizer.training:
-        for each in demonstrations:
+    if normalizer.norm_reward:
+        for each in rewarded:
             so_far = accumulate(each.rewards, lambda total, reward: total * normalizer.gamma + reward)
             normalizer.ret_rms.update(np.array(list(so_far)))

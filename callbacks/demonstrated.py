@@ -14,23 +14,13 @@ from sb3_options.experience.observations import batch_size, take
 from sb3_options.experience.success import SuccessRule, judged
 from sb3_options.experience.trajectories import Trajectory
 
-FAILURES = 20
-"""Most episodes of a random policy."""
+FAILURES = 20  # most episodes of a random policy
 
 
 def labelled(
     given: Iterable[Trajectory] | str | os.PathLike[str], venv: VecEnv, success: SuccessRule
 ) -> list[tuple[Trajectory, bool]]:
-    """Demonstrations and which of them succeeded.
-
-    Args:
-        given: Trajectories, or the file that `save_demonstrations` wrote.
-        venv: Of `OptionsWrapper`.
-        success: Which trajectories succeeded.
-
-    Raises:
-        ValueError: They do not fit the environments, or none succeeded.
-    """
+    """Return demonstrations, or those in a file, and which of them succeeded; refuse them if none did."""
     everything = load_demonstrations(given) if isinstance(given, str | os.PathLike) else list(given)
     traits: Traits = venv.get_attr("traits", [0])[0]
     for number, trajectory in enumerate(everything):

@@ -10,15 +10,14 @@ from sb3_options.callbacks.checks import check_training
 from sb3_options.callbacks.cloning import MarginLoss, can_clone, clone, fit_values
 from sb3_options.callbacks.demonstrated import labelled, with_failures
 from sb3_options.callbacks.installer import OptionInstaller
-from sb3_options.callbacks.keeper import ClosedOption, OptionKeeper
+from sb3_options.callbacks.keeper import OptionKeeper
 from sb3_options.callbacks.learned_features import check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.settings import ConceptSettings, OptionUse
 from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_run, log_settings, save_or_warn
-from sb3_options.callbacks.usefulness import Verdict
 from sb3_options.checked import given_as
 from sb3_options.checkpoints.demonstrations import MANY
-from sb3_options.density.groups import FeatureGroup, checked_groups
+from sb3_options.density.groups import checked_groups
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import DiscoveryMethod, MethodName, checked_method
 from sb3_options.discovery.settings import DiscoverySettings
@@ -131,14 +130,12 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         self._ended = True
         self._began = len(self.history)
         venv = self.training_env
-        use = self.use
         keeper = self._keeper
         seed = self.model.seed or 0
         check_training(self, None if self._installer is None else self._installer.model)
         self._start_counting()
-        self._installer = OptionInstaller(
-            self.model, venv, self.locals.get("callback"), max_option_exploration=use.max_option_exploration
-        )
+        callbacks, share = self.locals.get("callback"), self.use.max_option_exploration
+        self._installer = OptionInstaller(self.model, venv, callbacks, max_option_exploration=share)
         keeper.features = features_for(keeper.features, self._installer, self.embedding, seed, self.verbose)
         if keeper.features is not None:
             check_learned(self.settings, self.option_settings, own=bool(self.method or self.concepts.groups))
@@ -146,10 +143,13 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self.discovery is None:
             keeper.generator.manual_seed(seed)
             traits: Traits = venv.get_attr("traits", [0])[0]
+            groups = traits.feature_groups if self.concepts.groups is None else self.concepts.groups
+            if traits.feature_size is not None:
+                groups = checked_groups(groups, traits.feature_size)
             self.discovery = Discovery(
                 self.settings,
                 self.method,
-                groups=self._groups(traits),
+                groups=groups,
                 seed=seed,
                 success=self.success,
                 static_filter=self.concepts.static_filter,
@@ -191,11 +191,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             self._cloned_at = len(self.history)
         if self.verbose:
             print(f"Cloned {len(successes)} demonstrations{about}")
-
-    def _groups(self, traits: Traits) -> tuple[FeatureGroup, ...]:
-        """Return the groups of features to search: those of the settings, or else of the environment or φ."""
-        groups = traits.feature_groups if self.concepts.groups is None else self.concepts.groups
-        return groups if traits.feature_size is None else checked_groups(groups, traits.feature_size)
 
     def _on_step(self) -> bool:
         infos: list[dict[str, Any]] = self.locals["infos"]
@@ -240,7 +235,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
                 if run.inside:
                     useful.add(run, env, success=success)
                 useful.episode_ended(env, self._keeper.options.installed(), success=success)
-            self._keeper.judge(self._close_option)
+            for closed in self._keeper.judge(self.episodes, self.num_timesteps):
+                if self.verbose:
+                    print(f"Option {closed.slot} {closed.why} and is closed, after {self.episodes} episodes")
             self._learn_from(trajectory, success)
         except ValueError as error:  # one unusable episode must not end training
             self._keeper.search.diary.unusable(self.episodes, error)
@@ -263,11 +260,6 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
             return False
         recent = self.history[max(self._cloned_at, len(self.history) - SETTLED_EPISODES) :]
         return sum(episode.success for episode in recent) >= SETTLED * len(recent)
-
-    def _close_option(self, slot: int, why: Verdict) -> None:
-        self._keeper.close(ClosedOption(slot, self.episodes, self.num_timesteps, why))
-        if self.verbose:
-            print(f"Option {slot} {why} and is closed, after {self.episodes} episodes")
 
     def why_nothing(self) -> str | None:
         """Return why no option was made since training started, or None if one was."""
@@ -299,9 +291,7 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         if self.verbose and self.max_new_options != 0 and (why := self.why_nothing()) is not None:
             print(why)
         self.logger.record("time/primitive_steps", self.num_timesteps)
-        log_settings(self.logger, self.hparams or self._own_settings())
-        self.logger.dump(self.num_timesteps)
-
-    def _own_settings(self) -> dict[str, Any]:
         discovery, option = dataclasses.asdict(self.settings), dataclasses.asdict(self.option_settings)
-        return {"algo": type(self.model).__name__, "discovery": discovery, "option": option}
+        own = {"algo": type(self.model).__name__, "discovery": discovery, "option": option}
+        log_settings(self.logger, self.hparams or own)
+        self.logger.dump(self.num_timesteps)

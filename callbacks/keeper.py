@@ -1,7 +1,6 @@
 """`OptionKeeper`: makes options from subgoals, learns them further, and closes them, with records."""
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -166,17 +165,19 @@ class OptionKeeper:
             if later is not None and later is not option:
                 self.replace(slot, later)
 
-    def judge(self, close: Callable[[int, Verdict], None]) -> None:
-        """Narrow the options that fail from some states, and close useless ones."""
+    def judge(self, episode: int, timestep: int) -> list[ClosedOption]:
+        """Narrow the options that fail from some states, close useless ones, and return these."""
+        before = len(self.closed)
         for slot, later in self.useful.judged(self.options):
             if isinstance(later, SubgoalOption):
                 self.replace(slot, later)
             else:
-                close(slot, later)
+                self._close(ClosedOption(slot, episode, timestep, later))
         if self.wants_slot() and (unneeded := self.useful.unneeded(self.options)) is not None:
-            close(unneeded, "is not needed")
+            self._close(ClosedOption(unneeded, episode, timestep, "is not needed"))
+        return self.closed[before:]
 
-    def close(self, closed: ClosedOption) -> None:
+    def _close(self, closed: ClosedOption) -> None:
         """Take an option out of its slot."""
         slot = closed.slot
         self.options.uninstall(slot)

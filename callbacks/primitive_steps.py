@@ -18,8 +18,8 @@ from sb3_options.learning.rollout_buffer import SMDPAdvantages, n_decisions, opt
 
 logger = logging.getLogger("sb3_options")
 
+# Attributes of an on-policy model that hold its last step, with their names in ``collect_rollouts``.
 LAST = {"_last_obs": "new_obs", "_last_episode_starts": "dones", "_last_lstm_states": "lstm_states"}
-"""Attributes of an on-policy model that hold its last step, with their names in ``collect_rollouts``."""
 
 
 class PrimitiveRollouts:
@@ -76,9 +76,8 @@ class PrimitiveStepsCallback(BaseCallback):
     of these count primitive steps.
 
     Args:
-        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps. A rollout then has as
-            many decisions as took ``n_steps`` primitive steps in the previous rollout. Otherwise options make rollouts
-            longer, and updates rarer.
+        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps. Otherwise options make
+            rollouts longer, and updates rarer.
         verbose: As for any callback.
 
     Raises:
@@ -158,8 +157,10 @@ class PrimitiveStepsCallback(BaseCallback):
         buffer.expect(self.locals["rewards"], runs, self._normalizer)
         # The model still learns from a rollout that this step completes.
         goes_on = self.model.num_timesteps < self._budget or buffer.pos + 1 == buffer.buffer_size
-        if not goes_on:
-            self._keep_last()
+        if not goes_on:  # SB3 does not tell the model where the environments are if training ends inside a rollout
+            for name, value in LAST.items():
+                if value in self.locals:
+                    setattr(self.model, name, self.locals[value])
         return goes_on
 
     def _count_inner_steps(self, runs: list[OptionRun]) -> None:
@@ -172,12 +173,6 @@ class PrimitiveStepsCallback(BaseCallback):
         for each in all_callbacks(self.locals.get("callback")) if extra else ():
             if isinstance(each, ProgressBarCallback):
                 each.pbar.update(extra)
-
-    def _keep_last(self) -> None:
-        """Tell the model where the environments are: SB3 does not if training ends inside a rollout."""
-        for name, value in LAST.items():
-            if value in self.locals:
-                setattr(self.model, name, self.locals[value])
 
     def _on_training_end(self) -> None:
         if self._rollouts is not None:

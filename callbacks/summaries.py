@@ -16,8 +16,7 @@ logger = logging.getLogger("sb3_options")
 
 NUMBERS_ONLY = ("stdout", "log", "json", "csv")  # SB3's outputs that take neither pictures nor settings
 
-RESULTS = ("rollout/success_rate", "rollout/ep_rew_mean")
-"""Scalars of SB3 whose last values TensorBoard's HParams tab shows beside the settings."""
+RESULTS = ("rollout/success_rate", "rollout/ep_rew_mean")  # scalars of SB3 that the HParams tab shows beside settings
 
 
 def takes_more_than_numbers(log: Logger) -> bool:
@@ -45,15 +44,12 @@ def log_run(log: Logger, run: OptionRun) -> None:
 def log_discovery(log: Logger, keeper: OptionKeeper, n_timesteps: int) -> None:
     """Log the progress of discovery after ``n_timesteps`` primitive steps."""
     search = keeper.search
-    values: dict[str, float] = {
-        "search/seconds": search.diary.seconds,
-        "search/left_out": search.diary.skipped,
-        "slots/filled": len(keeper.options.bank),
-        "slots/closed": len(keeper.closed),
-        "time/primitive_steps": n_timesteps,
-        **search.method.values(),
-    }
-    for tag, value in values.items():
+    log.record("search/seconds", search.diary.seconds)
+    log.record("search/left_out", search.diary.skipped)
+    log.record("slots/filled", len(keeper.options.bank))
+    log.record("slots/closed", len(keeper.closed))
+    log.record("time/primitive_steps", n_timesteps)
+    for tag, value in search.method.values().items():
         log.record(tag, value)
 
 

@@ -6,8 +6,8 @@ state is to blame, the option's last runs may close it (`verdict`). If options w
 any success passes makes room for a new one.
 """
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import defaultdict, deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -110,7 +110,7 @@ class Usefulness:
     """Judges the options of all slots while an agent learns."""
 
     settings: UsefulnessSettings = field(metadata=TRANSIENT)
-    _slots: dict[int, SlotRecord] = field(default_factory=dict, init=False)
+    _slots: dict[int, SlotRecord] = field(default_factory=lambda: defaultdict(SlotRecord), init=False)
     _ran: dict[int, set[int]] = field(default_factory=dict, init=False)  # by environment: slots of its episode
     _failed: dict[int, tuple[FloatArray, IntArray]] = field(default_factory=dict, init=False)  # lost states, π there
 
@@ -122,29 +122,28 @@ class Usefulness:
         ending = "failed" if run.termination == "terminated" and success is False else run.termination
         if ending in ("subgoal", "left_initiation", "max_duration", "failed"):
             assert run.observations is not None  # the run is of an option
-            self._of(run.index).new.append((run.observations, ending))
-            self._of(run.index).last.append(ending)
+            self._slots[run.index].new.append((run.observations, ending))
+            self._slots[run.index].last.append(ending)
 
     def episode_ended(self, env: int, filled: Iterable[int], *, success: bool) -> None:
         """Record which options ran in an episode."""
         ran = self._ran.pop(env, set())
         for slot in filled if self.settings.min_reached > 0 else ():
-            self._of(slot).episodes.append(Episode(slot in ran, success))
+            self._slots[slot].episodes.append(Episode(slot in ran, success))
 
     def counts_needs(self, options: OptionInstaller) -> bool:
         """Return whether the subgoals that successes pass are still counted."""
-        return self.settings.min_reached > 0 and any(
-            len(self._of(slot).needed) < WINDOW for slot, _ in _judged(options)
-        )
+        counted = (len(self._slots[slot].needed) for slot, _ in _judged(options))
+        return self.settings.min_reached > 0 and any(n < WINDOW for n in counted)
 
     def succeeded(self, options: OptionInstaller, features: FloatArray) -> None:
         """Record which subgoals a success passed, from φ of its states, (m, d)."""
         for slot, option in _judged(options):
-            self._of(slot).needed.append(bool(option.subgoal.contains(features).any()))
+            self._slots[slot].needed.append(bool(option.subgoal.contains(features).any()))
 
     def unneeded(self, options: OptionInstaller) -> int | None:
         """Return the slot whose subgoal fewest successes pass, if their share is below `NEEDED`."""
-        records = {slot: self._of(slot).needed for slot, _ in _judged(options)}
+        records = {slot: self._slots[slot].needed for slot, _ in _judged(options)}
         shares = {slot: float(np.mean(of)) for slot, of in records.items() if len(of) >= MIN_SUCCESSES}
         weakest = min(shares, key=shares.__getitem__, default=None)
         return weakest if weakest is not None and shares[weakest] < NEEDED else None
@@ -152,15 +151,14 @@ class Usefulness:
     def judged(self, options: OptionInstaller) -> Iterator[tuple[int, SubgoalOption | Verdict]]:
         """Yield slots whose option loses states of I, with the narrowed option, or is to be closed, with the reason."""
         for slot, option in _judged(options):
-            record = self._of(slot)
+            record = self._slots[slot]
             if len(record.new) < RUNS_BETWEEN:
                 continue
-            self._see(record, option, options.features_of)
+            self._see(record, option, options)
             sure, likely = self._failing(record, option)
-            whole = (
-                verdict(record.last, record.episodes, self.settings.min_reached) if len(record.last) == WINDOW else None
-            )
-            why = verdict(record.endings, record.episodes, self.settings.min_reached)
+            least = self.settings.min_reached
+            whole = verdict(record.last, record.episodes, least) if len(record.last) == WINDOW else None
+            why = verdict(record.endings, record.episodes, least)
             lost = sure if why is not None else sure | likely
             if whole == "does not arrive":  # losing more states would not help
                 yield slot, whole
@@ -198,17 +196,14 @@ class Usefulness:
 
     def forget_runs(self, slot: int) -> None:
         """Forget the runs of an option that has changed."""
-        self._of(slot).new.clear()
-        self._of(slot).judged.clear()
+        self._slots[slot].new.clear()
+        self._slots[slot].judged.clear()
 
     def forget_places(self) -> None:
         """Forget states that initiation sets lost and that runs passed, because φ has changed."""
         self._failed.clear()
         for record in self._slots.values():
             record.judged.clear()
-
-    def _of(self, slot: int) -> SlotRecord:
-        return self._slots.setdefault(slot, SlotRecord())
 
     def _remember(self, slot: int, option: SubgoalOption, lost: FloatArray) -> None:
         """Remember states that an initiation set loses, and the actions of π there."""
@@ -217,12 +212,10 @@ class Usefulness:
         before, did = self._failed.get(slot, (lost[:0], does[:0]))
         self._failed[slot] = np.concatenate([before, lost]), np.concatenate([did, does])
 
-    def _see(
-        self, record: SlotRecord, option: SubgoalOption, features_of: Callable[[Observations], FloatArray]
-    ) -> None:
+    def _see(self, record: SlotRecord, option: SubgoalOption, options: OptionInstaller) -> None:
         """Keep the features of new runs that the initiation set sees: observations may be images."""
         observations, endings = zip(*record.new, strict=True)
-        features = option.initiation_set.own(features_of(concatenate(list(observations))))
+        features = option.initiation_set.own(options.features_of(concatenate(list(observations))))
         parts = np.split(features, np.cumsum([batch_size(each) for each in observations[:-1]]))
         record.judged.extend(zip(parts, endings, strict=True))
         record.new.clear()

@@ -31,7 +31,7 @@ nitpick_ignore_regex = [
         r"|spaces|stable_baselines3|torch|types|typing)\..*",
     ),
     ("py:.*", r"ArrayLike|BaseAlgorithm|BaseCallback|EnvFns|GymEnv|MaybeCallback|ReplayBufferSamples|Tensor|VecEnv"),
-    ("py:.*", r"(Float|Int|Bool)Array|sb3_options\..*\.(Bullet|M|Model|Result)"),  # arrays, type variables
+    ("py:.*", r"(Float|Int|Bool)Array|sb3_options\..*\.(M|Model|Result)"),  # arrays, type variables
     ("py:class", r"'.*'|Deposit|ObservationKind|RenderMode"),  # the descriptions of the arguments name the choices
     ("py:obj", r"[a-z_]\w*"),  # an argument or an attribute, of which its class tells
 ]

@@ -32,10 +32,10 @@ RenderMode = Literal["human", "rgb_array", "rgb_array_list"]
 
 
 class Motion(NamedTuple):
-    """A primitive action."""
+    """A primitive action: a distance ahead, m, or a turn to the left, rad."""
 
-    distance: float = 0.0  # m ahead
-    turn: float = 0.0  # rad to the left
+    distance: float = 0.0
+    turn: float = 0.0
 
 
 ACTIONS = (

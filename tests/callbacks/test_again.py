@@ -12,20 +12,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import OptionsWrapper, load_model
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.learning import heads
 from tests.callbacks.doorway import finds_nothing, model_of, with_option
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import fast_callback, optioned_rooms
-
-
-def test_going_on_without_the_options_says_so(caplog: pytest.LogCaptureFixture) -> None:
-    model = model_of(with_option())
-    model.learn(300, callback=PrimitiveStepsCallback())
-    model.set_env(optioned_rooms(2))
-    model.learn(20, callback=finds_nothing(), reset_num_timesteps=False)
-    assert "Slot 0 is empty, and the model has learned what an option there is worth" in caplog.text
-    assert "Slot 1" not in caplog.text
-    assert heads.is_closed(model.policy, 4)
 
 
 @pytest.mark.parametrize("algorithm", [DQN, PPO])

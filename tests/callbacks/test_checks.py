@@ -10,7 +10,7 @@ from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback, EveryNTimesteps
+from stable_baselines3.common.callbacks import CallbackList, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnvWrapper, VecNormalize
 
 from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper
@@ -87,36 +87,33 @@ def test_a_stock_replay_buffer_is_replaced(callback: Any, n_steps: int) -> None:
         assert torch.equal(mine, theirs)
 
 
-def test_a_stock_replay_buffer_that_saves_memory_is_not_replaced_by_a_larger_one() -> None:
+def test_a_stock_replay_buffer_that_saves_memory_or_holds_options_is_not_replaced() -> None:
     kwargs = {"handle_timeout_termination": False}
-    model = dqn(optioned_rooms(), replay_buffer_class=None, optimize_memory_usage=True, replay_buffer_kwargs=kwargs)
-    with pytest.raises(ValueError, match=r"DQN was built with ReplayBuffer, .*: pass DQN"):
-        model.learn(20, callback=PrimitiveStepsCallback())
+    saves = dqn(optioned_rooms(), replay_buffer_class=None, optimize_memory_usage=True, replay_buffer_kwargs=kwargs)
+    for model in (saves, dqn(optioned_rooms(), replay_buffer_class=None).learn(20)):
+        with pytest.raises(ValueError, match=r"DQN was built with ReplayBuffer, .*: pass DQN"):
+            model.learn(20, callback=PrimitiveStepsCallback())
 
 
-def test_a_stock_replay_buffer_that_holds_options_is_refused() -> None:
-    model = dqn(optioned_rooms(), replay_buffer_class=None)
-    model.learn(20)
-    with pytest.raises(ValueError, match=r"DQN was built with ReplayBuffer, .*: pass DQN"):
-        model.learn(20, callback=SubgoalDiscoveryCallback())
+def test_a_limit_of_runs_in_a_continuing_task_is_refused() -> None:
+    limited = OptionsWrapper(small_rooms(), gamma=0.9, max_runs=3)
+    with pytest.raises(ValueError, match="max_runs counts in an episode, and a continuing task has none"):
+        dqn(limited).learn(20, callback=SubgoalDiscoveryCallback({"segmentation": "peaks"}))
 
 
-class TestEvaluationEnvironment:
-    def test_unwrapped(self) -> None:
-        callbacks: list[BaseCallback] = [SubgoalDiscoveryCallback(), EvalCallback(small_rooms())]
-        with pytest.raises(ValueError, match="The environment of EvalCallback is not wrapped in OptionsWrapper: use"):
-            dqn(optioned_rooms()).learn(20, callback=callbacks)
-
-    def test_a_limit_in_a_continuing_task(self) -> None:
-        limited = OptionsWrapper(small_rooms(), gamma=0.9, max_runs=3)
-        with pytest.raises(ValueError, match="max_runs counts in an episode, and a continuing task has none"):
-            dqn(limited).learn(20, callback=SubgoalDiscoveryCallback({"segmentation": "peaks"}))
-
-    def test_other_slots(self) -> None:
-        callbacks: list[BaseCallback] = [SubgoalDiscoveryCallback(), EvalCallback(optioned_rooms(3))]
-        text = r"EvalCallback has actions Discrete\(7\), the training environment Discrete\(8\): give both the same max"
-        with pytest.raises(ValueError, match=text):
-            dqn(optioned_rooms(4)).learn(20, callback=callbacks)
+@pytest.mark.parametrize(
+    ("evaluation", "text"),
+    [
+        (small_rooms, "The environment of EvalCallback is not wrapped in OptionsWrapper: use"),
+        (
+            lambda: optioned_rooms(3),
+            r"EvalCallback has actions Discrete\(7\), the training environment Discrete\(8\): give both the same max",
+        ),
+    ],
+)
+def test_another_evaluation_environment_is_refused(evaluation: Any, text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        dqn(optioned_rooms(4)).learn(20, callback=[SubgoalDiscoveryCallback(), EvalCallback(evaluation())])
 
 
 def test_what_changes_observations_above_the_options_is_refused() -> None:

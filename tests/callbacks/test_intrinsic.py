@@ -268,10 +268,8 @@ def test_logs_and_goes_on(kind: Any, tmp_path: Path) -> None:
 class TestErrors:
     @pytest.mark.parametrize("arguments", [{"kind": "icm"}, {"weight": -0.1}, {"weight": float("nan")}])
     def test_bad_arguments(self, arguments: dict[str, Any]) -> None:
-        with pytest.raises(
-            ValueError,
-            match="kind must be one of 'counts', 'rnd', 'noveld', 'e3b', and weight finite and at least 0, got",
-        ):
+        text = "kind must be one of 'counts', 'rnd', 'noveld', 'e3b', and weight finite and at least 0, got"
+        with pytest.raises(ValueError, match=text):
             IntrinsicRewardCallback(**arguments)
 
     def test_no_discount(self) -> None:
@@ -279,10 +277,9 @@ class TestErrors:
             make(PPO, Corridor(), gamma=1.0).learn(64, callback=IntrinsicRewardCallback())
 
     def test_actions_that_nothing_predicts(self) -> None:
+        model = PPO("MlpPolicy", "Pendulum-v1", n_steps=16, batch_size=16)
         with pytest.raises(TypeError, match=r"'e3b' predicts discrete actions, got Box"):
-            PPO("MlpPolicy", "Pendulum-v1", n_steps=16, batch_size=16).learn(
-                16, callback=IntrinsicRewardCallback("e3b")
-            )
+            model.learn(16, callback=IntrinsicRewardCallback("e3b"))
 
     def test_nothing_to_count(self) -> None:
         model = PPO("MultiInputPolicy", Corridor("dict"), n_steps=16, batch_size=16)

@@ -43,11 +43,6 @@ class TestLoadCheckpoint:
         with pytest.raises(ValueError, match=r"needs a CheckpointCallback among the callbacks"):
             load_checkpoint(tmp_path, model_of("PPO", venv_of()), discovering())
 
-    def test_refuses_another_algorithm(self, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
-        with pytest.raises(ValueError, match=r"^The checkpoint is of PPO, the model is A2C\.$"):
-            load_checkpoint(tmp_path, model_of("A2C", venv_of()), CheckpointCallback(tmp_path))
-
     @pytest.mark.parametrize(
         ("changed", "text"),
         [
@@ -62,39 +57,32 @@ class TestLoadCheckpoint:
         method: dict[str, Any] = {"method": RelativeNovelty()}
         written = SubgoalDiscoveryCallback(**method)
         model_of("PPO", venv_of()).learn(64, [written, CheckpointCallback(tmp_path)])
-        other = [SubgoalDiscoveryCallback(**method | changed), CheckpointCallback(tmp_path)]
-        model = model_of("PPO", venv_of())
-        load_checkpoint(tmp_path, model, other)
-        with pytest.raises(ValueError, match=f"written with {text}"):
-            model.learn(64, other)
+        other: Callbacks = [SubgoalDiscoveryCallback(**method | changed), CheckpointCallback(tmp_path)]
+        refuses(tmp_path, model_of("PPO", venv_of()), other, f"written with {text}")
 
-    def test_refuses_another_discount(self, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
-        model, same = model_of("PPO", venv_of()), [discovering(), CheckpointCallback(tmp_path)]
-        load_checkpoint(tmp_path, model, same)
+    def test_refuses_what_is_otherwise(self, tmp_path: Path) -> None:
+        def others() -> Callbacks:
+            return [discovering(), CheckpointCallback(tmp_path)]
+
+        model_of("PPO", venv_of()).learn(64, others())
+        with pytest.raises(ValueError, match=r"^The checkpoint is of PPO, the model is A2C\.$"):
+            load_checkpoint(tmp_path, model_of("A2C", venv_of()), CheckpointCallback(tmp_path))
+        model = model_of("PPO", venv_of())
         model.gamma = 0.5
         env_of(model).set_attr("gamma", 0.5)
-        with pytest.raises(ValueError, match=r"^The checkpoint is of training with gamma=.*, the model has gamma=0\.5"):
-            model.learn(64, same)
+        refuses(tmp_path, model, others(), r"^The checkpoint is of training with gamma=.*, the model has gamma=0\.5")
+        fewer = model_of("PPO", DummyVecEnv([lambda: optioned_rooms(2)] * 2))
+        refuses(tmp_path, fewer, others(), "with 4 slots for options, and this one has 2: pass max_options=4")
+        swapped = "with callback 'SubgoalDiscoveryCallback', the present one is 'Check"
+        refuses(tmp_path, model_of("PPO", venv_of()), others()[::-1], swapped)
+        more = r"^The checkpoint is of 2 environments, here are 4 in DummyVecEnv\.$"
+        refuses(tmp_path, model_of("PPO", venv_of(4)), others(), more)
 
-    def test_refuses_another_number_of_slots(self, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
-        fewer = DummyVecEnv([lambda: optioned_rooms(2)] * 2)
-        model, same = model_of("PPO", fewer), [discovering(), CheckpointCallback(tmp_path)]
-        load_checkpoint(tmp_path, model, same)
-        with pytest.raises(ValueError, match=r"with 4 slots for options, and this one has 2: pass max_options=4"):
-            model.learn(64, same)
 
-    def test_refuses_other_callbacks_and_environments(self, tmp_path: Path) -> None:
-        model_of("PPO", venv_of()).learn(64, [discovering(), CheckpointCallback(tmp_path)])
-        model, other = model_of("PPO", venv_of()), CheckpointCallback(tmp_path)
-        load_checkpoint(tmp_path, model, other)
-        with pytest.raises(ValueError, match=r"with callback 'SubgoalDiscoveryCallback', the present one is 'Check"):
-            model.learn(64, [other, discovering()])
-        model, same = model_of("PPO", venv_of(4)), [discovering(), CheckpointCallback(tmp_path)]
-        load_checkpoint(tmp_path, model, same)
-        with pytest.raises(ValueError, match=r"^The checkpoint is of 2 environments, here are 4 in DummyVecEnv\.$"):
-            model.learn(64, same)
+def refuses(folder: Path, model: Any, callbacks: Callbacks, text: str) -> None:
+    load_checkpoint(folder, model, callbacks)
+    with pytest.raises(ValueError, match=text):
+        model.learn(64, callbacks)
 
 
 @pytest.mark.parametrize("pos", [-1, 10**9, 0.5])

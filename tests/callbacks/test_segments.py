@@ -13,12 +13,10 @@ from sb3_options.callbacks import SubgoalDiscoveryCallback
 from tests.callbacks.doorway import model_of
 from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, optioned_rooms
 
-NEVER_ENDS: dict[str, Any] = {"continuing": True, "max_steps": None}
-
 
 def make_endless_rooms() -> OptionsWrapper:
     """What a worker process calls."""
-    return optioned_rooms(**NEVER_ENDS)
+    return optioned_rooms(continuing=True, max_steps=None)
 
 
 PEAKS: dict[str, Any] = {
@@ -29,17 +27,12 @@ PEAKS: dict[str, Any] = {
 }
 
 
-def learned(env: Any, settings: dict[str, Any] = PEAKS, **kwargs: Any) -> SubgoalDiscoveryCallback:
-    """A callback that has seen 4,000 random steps."""
-    callback = SubgoalDiscoveryCallback(settings, max_new_options=1)
-    model_of(env, seed=1, **kwargs).learn(4000, callback=callback)
-    return callback
-
-
 @pytest.mark.parametrize("venv", [DummyVecEnv, SubprocVecEnv])
-def test_finds_the_doorway_in_rooms_that_never_end(venv: Any) -> None:
+def test_finds_the_doorway_in_rooms_that_never_end(venv: Any, tmp_path: Path) -> None:
+    """The log is written, too, though no episode ends."""
     env = venv([make_endless_rooms, make_endless_rooms])
-    callback = learned(env)
+    callback = SubgoalDiscoveryCallback(PEAKS, max_new_options=1)
+    model_of(env, seed=1, tensorboard_log=str(tmp_path)).learn(4000, callback=callback)
     env.close()
     (found,) = callback.discoveries
     assert np.abs(found.subgoal - DOORWAY).sum() <= 1
@@ -47,9 +40,6 @@ def test_finds_the_doorway_in_rooms_that_never_end(venv: Any) -> None:
     assert callback.discovery is not None
     assert all(len(t.trajectory) <= 400 for t in callback.discovery.database)
 
-
-def test_the_log_is_written_though_no_episode_ends(tmp_path: Path) -> None:
-    learned(make_endless_rooms(), tensorboard_log=str(tmp_path))
     scalars = EventAccumulator(str(tmp_path / "DQN_1"))
     scalars.Reload()
     steps = [event.step for event in scalars.Scalars("slots/filled")]

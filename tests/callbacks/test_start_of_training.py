@@ -54,6 +54,7 @@ class TestEmptied:
         env.set_option(0, None)
         go_on(model, callback())
         assert "Slot 0 is empty, and the model has learned what an option there is worth" in caplog.text
+        assert "Slot 1" not in caplog.text
         assert rows_of(model) == 0
         assert not model.replay_buffer.next_available.any()
         for layer, outputs in heads.option_outputs(model.policy):

