@@ -20,7 +20,7 @@ def test_ratios_are_taken_within_turns() -> None:
 
 @pytest.mark.parametrize("scenarios", ["dqn,ppo", pytest.param("ppo_subprocesses", marks=pytest.mark.slow)])
 def test_benchmark_writes_results_and_picture(tmp_path: Path, scenarios: str) -> None:
-    overhead.main(overhead.Benchmark(out=tmp_path, rounds=1, chunk=512, scenarios=scenarios))
+    overhead.main(overhead.Benchmark(out=tmp_path, rounds=1, chunk=256, scenarios=scenarios))
     content = json.loads((tmp_path / "results.json").read_text())
     for scenario in scenarios.split(","):
         rates = content[scenario]["primitive_steps_per_second"]
@@ -32,7 +32,7 @@ def test_benchmark_writes_results_and_picture(tmp_path: Path, scenarios: str) ->
 
 @pytest.mark.parametrize("algo", ["ppo", "dqn"])
 def test_every_turn_has_a_checkpoint(algo: str, tmp_path: Path) -> None:
-    small = configure(algo=algo, seed=0, device="cpu", checkpoint_freq=600)
+    small = configure(algo=algo, seed=0, device="cpu", checkpoint_freq=300)
     found = checkpoints.race(small, tmp_path, 2, small.checkpoint_freq, description="")
     assert found["checkpoints_written"] == 2
     assert 0 < found["share_of_processor_time"]["mean"] < 1

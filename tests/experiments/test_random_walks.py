@@ -19,7 +19,7 @@ def test_what_counts_as_a_bottleneck() -> None:
 def test_study_writes_results_and_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Literal["bags", "methods", "waiting"], noise: float
 ) -> None:
-    monkeypatch.setattr("experiments.random_walks.conditions.N_EPISODES", 4)
+    monkeypatch.setattr("experiments.random_walks.conditions.N_EPISODES", 2)
     main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1, compare=compare, noise=noise))
     written = json.loads((tmp_path / "results.json").read_text())
     assert written["command"].endswith(f"--compare {compare}" + (" --noise 0.3" if noise else ""))
