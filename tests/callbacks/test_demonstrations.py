@@ -12,7 +12,7 @@ import torch
 from sb3_contrib import QRDQN, TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecFrameStack, VecNormalize
 
@@ -71,11 +71,9 @@ def callback(given: Any, **kwargs: Any) -> SubgoalDiscoveryCallback:
     return SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=1, demonstrations=given, **kwargs)
 
 
-class EndsAtOnce(BaseCallback):
+def ends_at_once() -> BaseCallback:
     """Ends training in the first step."""
-
-    def _on_step(self) -> bool:
-        return False
+    return ConvertCallback(lambda *_: False)
 
 
 def test_episodes_of_a_policy_are_recorded_in_primitive_steps(shown: list[Trajectory]) -> None:
@@ -111,7 +109,7 @@ def _option(initiation: Any, policy: Any, termination: Any, **kwargs: Any) -> An
 def test_options_are_there_before_the_first_step(shown: list[Trajectory], algorithm: type[BaseAlgorithm]) -> None:
     env = make_vec_env(optioned_rooms, 2, seed=0)
     discovery = callback(shown)
-    algorithm("MlpPolicy", env, gamma=0.9, seed=0).learn(1000, [discovery, EndsAtOnce()])  # type: ignore[call-arg]
+    algorithm("MlpPolicy", env, gamma=0.9, seed=0).learn(1000, [discovery, ends_at_once()])  # type: ignore[call-arg]
     (found,) = discovery.discoveries
     assert (found.episode, found.timestep) == (0, 0)
     assert np.abs(found.subgoal - DOORWAY).sum() <= 1.0
@@ -146,7 +144,7 @@ def test_a_walk_that_was_cut_off_is_a_failure(shown: list[Trajectory]) -> None:
     discovery = SubgoalDiscoveryCallback(
         FAST_DISCOVERY, demonstrations=shown, success=lambda trajectory: len(trajectory) < 100, max_new_options=1
     )
-    PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, seed=0).learn(1, [discovery, EndsAtOnce()])
+    PPO("MlpPolicy", env, gamma=0.9, n_steps=64, batch_size=64, seed=0).learn(1, [discovery, ends_at_once()])
     assert discovery.discovery is not None
     walks = [each for each in discovery.discovery.database if each.trajectory.truncated]
     assert len(walks) > 5
@@ -166,7 +164,7 @@ def test_random_actions_are_those_that_the_environment_allows() -> None:
 def cloned(model: Any, given: list[Trajectory], **kwargs: Any) -> SubgoalDiscoveryCallback:
     """What a training knew before its first step."""
     discovery = SubgoalDiscoveryCallback(FAST_DISCOVERY, demonstrations=given, **kwargs)
-    model.learn(1, [discovery, EndsAtOnce()])
+    model.learn(1, [discovery, ends_at_once()])
     return discovery
 
 
@@ -226,7 +224,7 @@ def test_options_of_a_cloned_policy_that_succeeds_are_not_learned_anew(
     monkeypatch.setattr("sb3_options.callbacks.discovery.MANY", many)
     discovery = callback(shown, clone=clone)
     model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, n_steps=64, batch_size=64, seed=0)
-    model.learn(64, [discovery, EndsAtOnce()])
+    model.learn(64, [discovery, ends_at_once()])
     cloned_on = discovery.bank[0]
     model.learn(1_500, discovery, reset_num_timesteps=False)
     assert isinstance(cloned_on, SubgoalOption)
@@ -309,7 +307,7 @@ def hooks(model: Any) -> int:
 def test_the_margin_stays_in_every_update_until_training_ends(shown: list[Trajectory], stays: bool) -> None:
     model = values_model(max_grad_norm=0.0)  # the gradient of DQN's own loss is cut to nothing
     discovery = callback(shown)
-    model.learn(1, [discovery, EndsAtOnce()])
+    model.learn(1, [discovery, ends_at_once()])
     assert not hooks(model)
     if not stays:
         discovery._margin = None
@@ -328,7 +326,7 @@ def test_an_agent_becomes_better_than_its_demonstrations() -> None:
     model = OptionDQN("MlpPolicy", env, gamma=0.9, seed=0, **how, exploration_fraction=0.5)
     shown_steps = float(np.mean(list(map(len, given))))
     discovery = SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=0, demonstrations=given)
-    model.learn(1, [discovery, EndsAtOnce()])
+    model.learn(1, [discovery, ends_at_once()])
     at_first = np.mean([len(taken) for taken in decisions_of(model, env, 12)])
     assert at_first == pytest.approx(shown_steps, abs=0.5)
     model.learn(8_000, discovery)
@@ -337,33 +335,20 @@ def test_an_agent_becomes_better_than_its_demonstrations() -> None:
     assert np.mean(later) < shown_steps - 1
 
 
-class Interrupts(BaseCallback):
-    """Ends training by an error, in an update or in a step."""
-
-    def __init__(self, in_update: bool) -> None:
-        super().__init__()
-        self.in_update = in_update
-
-    def _on_step(self) -> bool:
-        if self.num_timesteps < 8:
-            return True
-        if not self.in_update:
-            raise KeyboardInterrupt
-
-        def stop(*_: Any) -> None:
-            raise KeyboardInterrupt
-
-        q_net: Any = self.model.policy.q_net
-        q_net.register_forward_hook(stop)
-        return True
-
-
 @pytest.mark.parametrize("in_update", [True, False])
 def test_an_interrupt_leaves_at_most_one_margin(shown: list[Trajectory], in_update: bool) -> None:
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    def interrupts(*_: Any) -> bool:
+        if model.num_timesteps >= 8:
+            model.policy.q_net.register_forward_hook(stop) if in_update else stop()
+        return True
+
     model = values_model()
     discovery = callback(shown)
     with pytest.raises(KeyboardInterrupt):
-        model.learn(64, [discovery, Interrupts(in_update)])
+        model.learn(64, [discovery, ConvertCallback(interrupts)])
     model.policy.q_net._forward_hooks.clear()
     assert hooks(model) <= in_update
     model.learn(32, discovery, reset_num_timesteps=False)
@@ -379,7 +364,7 @@ def test_a_margin_follows_the_model_and_its_statistics(shown: list[Trajectory], 
     later = OptionDQN.load(tmp_path / "model.zip", env)
     margin = discovery._margin
     assert margin is not None
-    later.learn(8, [discovery, EndsAtOnce()], reset_num_timesteps=False)
+    later.learn(8, [discovery, ends_at_once()], reset_num_timesteps=False)
     assert margin.model is later
     statistics: Any = env.obs_rms
     statistics.mean[:] = 5.0

@@ -8,13 +8,9 @@ from experiments.kills import __main__ as kills
 from experiments.kills.__main__ import Study, Victim
 
 
-def results(study: Study, victims: list[Victim]) -> None:
-    kills._report(study, victims)
-
-
 def test_counts_on_from_earlier_results(tmp_path: Path) -> None:
     before = [Victim("ppo", [(1.5, 1000), (None, None)], [1000, 0], {"options": []})]
-    results(Study(out=tmp_path, kills=2), before)
+    kills._report(Study(out=tmp_path, kills=2), before)
     (found,) = kills._done(Study(out=tmp_path, kills=100))
     assert json.loads(json.dumps(asdict(found))) == json.loads(json.dumps(asdict(before[0])))
 

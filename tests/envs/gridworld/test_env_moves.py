@@ -10,8 +10,6 @@ from sb3_options.envs import Direction, GridWorld
 from sb3_options.envs.gridworld.grid_map import Cell
 from tests.envs.gridworld.cells import cell_of
 
-pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
-
 
 def walk(env: GridWorld, start: Cell, actions: list[Direction]) -> list[Cell]:
     observation, _ = env.reset(options={"start": start})

@@ -6,8 +6,6 @@ import pytest
 from sb3_options.envs import FOUR_ROOMS, KEY_DOOR, KEY_FEATURE_SCALE, TWO_ROOMS, Direction, GridWorld
 from tests.envs.gridworld.cells import KINDS, Kind, cell_of
 
-pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
-
 
 def test_observation_spaces() -> None:
     def shape(map: str, kind: Kind) -> tuple[tuple[int, ...] | None, str]:

@@ -21,13 +21,8 @@ IDS = ["sb3_options/TwoRooms-v0", "sb3_options/FourRooms-v0", "sb3_options/KeyDo
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("env_id", IDS)
-def test_gymnasium_check_env(env_id: str, kind: Kind) -> None:
+def test_check_env(env_id: str, kind: Kind) -> None:
     check_env(gymnasium.make(env_id, observation=kind, render_mode="rgb_array").unwrapped)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("env_id", IDS)
-def test_sb3_check_env(env_id: str, kind: Kind) -> None:
     sb3_check_env(gymnasium.make(env_id, observation=kind))
 
 

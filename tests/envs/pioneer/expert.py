@@ -94,19 +94,14 @@ class Expert:
         return MIDDLE if free > 0.28 else SHORT
 
 
-def play(env: gymnasium.Env[Any, Any], expert: Expert, seed: int) -> tuple[bool, int, int, float]:
-    """An episode: success, steps, touches, return."""
+def succeeds(env: gymnasium.Env[Any, Any], expert: Expert, seed: int) -> bool:
+    """Whether an episode ends with success."""
     observation, _ = env.reset(seed=seed)
     expert.reset()
-    steps = touches = 0
-    total = 0.0
     while True:
-        observation, reward, terminated, truncated, info = env.step(expert.act(observation))
-        steps += 1
-        touches += info["touched_wall"]
-        total += float(reward)
+        observation, _, terminated, truncated, info = env.step(expert.act(observation))
         if terminated or truncated:
-            return bool(info["is_success"]), steps, touches, total
+            return bool(info["is_success"])
 
 
 def _room(observation: NDArray[np.float32], tip: float) -> float:
