@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_options.callbacks import checkpoint_state
 from sb3_options.callbacks.tree import all_callbacks, check_every_step, evaluation_envs
@@ -74,7 +73,7 @@ class CheckpointCallback(BaseCallback):
         self._check_folder()
         # Refuse now what a checkpoint cannot hold. Before its first step a model has just reset its environments.
         environments.prepare(self.training_env, just_reset=self.model.num_timesteps == 0)
-        for venv in self._evaluated():
+        for venv in evaluation_envs(self._root):
             environments.prepare(venv)
         checkpoint_state.check(self._root)
 
@@ -143,9 +142,10 @@ class CheckpointCallback(BaseCallback):
 
     def state(self) -> State:
         """Return the whole state of training at the start of a rollout."""
+        venvs = (self.training_env, *evaluation_envs(self._root))
         return {
             "callbacks": checkpoint_state.get_states(self._root),
-            "environments": [environments.get_state(venv) for venv in (self.training_env, *self._evaluated())],
+            "environments": [environments.get_state(venv) for venv in venvs],
             "model": models.get_state(self.model),
             "logged": models.logged(self.model.logger),
             "event_files": models.event_file_sizes(self.model.logger),
@@ -158,7 +158,7 @@ class CheckpointCallback(BaseCallback):
         checkpoint_state.set_states(self._root, state["callbacks"])  # first: options go into the environments
         trained, *evaluated = state["environments"]
         failures = environments.set_state(self.training_env, trained)
-        for venv, there in zip(self._evaluated(), evaluated, strict=True):
+        for venv, there in zip(evaluation_envs(self._root), evaluated, strict=True):
             environments.set_state(venv, there)  # an evaluation begins with a reset, wherever the episode was
         models.set_state(model, state["model"])
         if failures:
@@ -176,9 +176,6 @@ class CheckpointCallback(BaseCallback):
         models.set_random_states(state["random"])  # last: the code above may draw random numbers
         if self.verbose:
             print(f"Going on after {model.num_timesteps:,} primitive steps.")
-
-    def _evaluated(self) -> list[VecEnv]:
-        return evaluation_envs(self._root)
 
 
 def load_checkpoint(

@@ -52,7 +52,7 @@ def test_a_subgoal_that_nothing_leads_to_is_told_once(
     groups = [{"name": "place", "features": [0, 1], "labels": ["row", "column"]}]
     callback = fast_callback(concepts={"groups": groups}, option_settings={"value_function": "table"})
     with caplog.at_level(logging.WARNING, "sb3_options"):
-        model_of(seed=0).learn(8 * STEPS, callback=callback)
+        model_of(seed=0).learn(4 * STEPS, callback=callback)
     assert callback.discovery is not None
     assert callback.discovery.diary.n_withdrawn > 1
     said = [record.getMessage() for record in caplog.records if "No option for" in record.getMessage()]

@@ -33,13 +33,13 @@ def test_an_option_is_made_of_what_a_method_proposes(tmp_path: Path) -> None:
         env,
         gamma=0.97,
         replay_buffer_class=OptionReplayBuffer,
-        learning_starts=8_000,
-        buffer_size=8_000,
+        learning_starts=5_000,
+        buffer_size=5_000,
         tensorboard_log=str(tmp_path),
         seed=0,
         device="cpu",
     )
-    model.learn(8_000, callback=callback)
+    model.learn(5_000, callback=callback)
     (found,) = callback.discoveries
     assert np.abs(found.subgoal - DOORWAY).sum() <= 1
     assert np.isnan(found.log_density)

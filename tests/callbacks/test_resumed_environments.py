@@ -80,7 +80,7 @@ def test_environments_that_do_not_tell_their_state(
 
 def test_without_options(tmp_path: Path) -> None:
     """As SB3 makes the environment: it was reset before anything is noted of it."""
-    check_resumes(lambda: A2C("MlpPolicy", "CartPole-v1", seed=0), list, tmp_path, cuts=(0.0, 0.7), steps=600)
+    check_resumes(lambda: A2C("MlpPolicy", "CartPole-v1", seed=0), list, tmp_path, cuts=(0.0, 0.7), steps=300)
 
 
 @pytest.mark.slow
