@@ -124,26 +124,18 @@ def normalized(venv: VecEnv) -> VecEnv:
     return VecNormalize(venv, gamma=0.9, clip_reward=np.inf)
 
 
-AROUND: dict[str, Callable[[VecEnv], VecEnv]] = {
-    "VecNormalize": normalized,
-    "VecNormalize(VecFrameStack)": lambda venv: normalized(stacked(venv)),
-    "VecCheckNan(VecNormalize(VecFrameStack))": lambda venv: VecCheckNan(normalized(stacked(venv)), True),
-}
+def checked(venv: VecEnv) -> VecEnv:
+    return VecCheckNan(normalized(stacked(venv)), True)
 
 
 @pytest.mark.parametrize(
-    ("name", "algorithm"),
-    [
-        ("VecNormalize", DQN),
-        ("VecNormalize(VecFrameStack)", OptionDQN),
-        ("VecCheckNan(VecNormalize(VecFrameStack))", DQN),
-        ("VecCheckNan(VecNormalize(VecFrameStack))", PPO),
-    ],
+    ("around", "algorithm"),
+    [(normalized, DQN), (lambda venv: normalized(stacked(venv)), OptionDQN), (checked, DQN), (checked, PPO)],
 )
-def test_trains_and_discovers_within(name: str, algorithm: Any) -> None:
+def test_trains_and_discovers_within(around: Callable[[VecEnv], VecEnv], algorithm: Any) -> None:
     with rooms("dummy", 2) as bare:
-        venv = AROUND[name](bare)
-        buffer = {"replay_buffer_kwargs": {"macro_q": "VecFrameStack" not in name}}
+        venv = around(bare)
+        buffer = {"replay_buffer_kwargs": {"macro_q": around is normalized}}
         model: BaseAlgorithm = ppo(venv) if algorithm is PPO else dqn(venv, algorithm, **buffer)
         used: list[int] = []
         callback = fast_callback()
@@ -201,12 +193,10 @@ class TestStackedFrames:
 
 class TestEvaluationEnvironment:
     @pytest.mark.parametrize("algorithm", [DQN, PPO])
-    @pytest.mark.parametrize("kind", ["subproc", "VecNormalize"])
-    def test_has_every_option_at_the_same_decision(self, kind: str, algorithm: Any) -> None:
+    @pytest.mark.parametrize(("kind", "around"), [("subproc", lambda venv: venv), ("dummy", normalized)])
+    def test_has_every_option_at_the_same_decision(self, kind: str, around: Any, algorithm: Any) -> None:
         """Also when options learn further."""
-        inner = "subproc" if kind == "subproc" else "dummy"
-        around = AROUND["VecNormalize"] if kind == "VecNormalize" else lambda venv: venv
-        with rooms(inner, 2) as train_rooms, rooms(inner, 1) as eval_rooms:
+        with rooms(kind, 2) as train_rooms, rooms(kind, 1) as eval_rooms:
             train_env, eval_env = around(train_rooms), around(eval_rooms)
             model: BaseAlgorithm = ppo(train_env) if algorithm is PPO else dqn(train_env)
             evaluation = EvalCallback(eval_env, n_eval_episodes=1, eval_freq=500, verbose=0)
