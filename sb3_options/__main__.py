@@ -8,12 +8,7 @@ from sb3_options.extras import how_to_install
 
 
 def main(program: str = "sb3-options", default: Sequence[str] = ("--help",)) -> None:
-    """Run the command line.
-
-    Args:
-        program: Name in the message about a missing package.
-        default: Arguments if there are none.
-    """
+    """Run the command line, with ``default`` arguments if there are none; an error names the ``program``."""
     try:
         from sb3_options import cli
     except ModuleNotFoundError as error:

@@ -8,11 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-PREFIX = ".sb3-options-"
-"""Prefix of the names of temporary files."""
-
-STALE = 3600.0
-"""Seconds without a write after which a temporary file counts as left by a killed process."""
+PREFIX = ".sb3-options-"  # of the names of temporary files
+STALE = 3600.0  # seconds without a write after which a temporary file counts as left by a killed process
 
 
 @contextmanager

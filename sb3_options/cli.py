@@ -23,14 +23,9 @@ from sb3_options.runs import yaml_file
 from sb3_options.runs.commands import CompareConfig, DemoConfig, EvaluateConfig, InspectConfig, ResumeConfig, TuneConfig
 from sb3_options.runs.config import FIELDS, GROUPS, IMPORTING, TrainConfig, flag, program
 
-USAGE = 2
-"""Exit status for an invalid command line."""
-
-TRY_AGAIN = 75
-"""Exit status if a worker process was killed: ``EX_TEMPFAIL`` of sysexits.h."""
-
-LAST_IN_SHORT_HELP = "tensorboard_log"
-"""``--help`` shows the settings up to this one."""
+USAGE = 2  # exit status for an invalid command line
+TRY_AGAIN = 75  # exit status if a worker process was killed: ``EX_TEMPFAIL`` of sysexits.h
+LAST_IN_SHORT_HELP = "tensorboard_log"  # ``--help`` shows the settings up to this one
 
 COMMANDS: dict[str, tuple[type[Any], str]] = {
     "demo": (DemoConfig, "demo:show_demo"),

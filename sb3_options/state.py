@@ -29,15 +29,9 @@ import numpy as np
 
 T = TypeVar("T")
 
-TRANSIENT: Final = {"transient": True}
-"""Metadata of a dataclass field that is not part of the state: code, settings passed anew, caches."""
-
-VALUES: dict[str, type[Any]] = {}
-"""Classes whose objects a checkpoint may contain, by name; `storable` adds to them."""
-
-FOREIGN: dict[type[Any], tuple[str, ...]] = {}
-"""Attributes that are the state of a class of another library; `declare` adds to them."""
-
+TRANSIENT: Final = {"transient": True}  # marks a dataclass field that is no state: code, settings passed anew, caches
+VALUES: dict[str, type[Any]] = {}  # classes whose objects a checkpoint may contain, by name; `storable` adds to them
+FOREIGN: dict[type[Any], tuple[str, ...]] = {}  # attributes that are the state of another library's class (`declare`)
 PLAIN = (type(None), bool, int, float, str, bytes, np.ndarray, np.generic)
 
 
@@ -61,15 +55,10 @@ def declare(cls: type[Any], *names: str) -> None:
 
 @storable
 class Part(NamedTuple):
-    """The state of a mutable object inside another one.
+    """The state of a mutable object inside another one."""
 
-    Attributes:
-        of: Name of its class.
-        state: State from ``get_state``; None if the same object has occurred before.
-    """
-
-    of: str
-    state: Any
+    of: str  # name of its class
+    state: Any  # from ``get_state``; None if the same object has occurred before
 
 
 def names_of(cls: type[Any]) -> tuple[str, ...]:

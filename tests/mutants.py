@@ -34,17 +34,13 @@ FOLDERS = ("learning", "execution", "options", "discovery")
 """Folders of the library; each gives the sample as many mutants as the others."""
 
 RESULTS = Path("docs/results/mutants.json")
-MADE = Path("mutants")
-"""Where mutmut writes the mutated copy of the library, and which tests reach a function."""
-
-ENOUGH = 30.0
-"""Seconds of tests a mutant meets at most; one that needs more to die counts as a survivor."""
+MADE = Path("mutants")  # where mutmut writes the mutated copy of the library, and which tests reach a function
+ENOUGH = 30.0  # seconds of tests a mutant meets at most; one that needs more to die counts as a survivor
 
 TIMES, PLUS = 4.0, 15.0
 """A test that takes this many times as long as without a mutant, and this many seconds more, has timed out."""
 
-Z = 1.959964
-"""Of a 95 % interval."""
+Z = 1.959964  # of a 95 % interval
 
 
 def population() -> dict[str, list[str]]:

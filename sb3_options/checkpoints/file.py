@@ -29,8 +29,7 @@ from sb3_options.options.sealed import DAMAGE, errors_of, sealed, unsealed
 
 FORMAT = "sb3-options checkpoint 1"
 
-BLOCK_BYTES = 1 << 20
-"""Largest block: a checkpoint writes at most about this much of an unchanged array."""
+BLOCK_BYTES = 1 << 20  # largest block: a checkpoint writes at most about this much of an unchanged array
 
 MOST_REPETITIONS = 16
 MOST_REPEATED_BYTES = 1 << 30
@@ -40,18 +39,13 @@ BLOCKS = "blocks"  # folder of the blocks, beside the checkpoints
 
 SUFFIX = ".safetensors"
 
-KEPT = 2
-"""Number of checkpoints kept."""
+KEPT = 2  # number of checkpoints kept
 
 _NAME = re.compile(r"[0-9a-f]{64}")
 
 
 class CheckpointFolder:
-    """Checkpoints of one run, by primitive steps taken.
-
-    Args:
-        path: Path of the folder. The first checkpoint creates it.
-    """
+    """Checkpoints of one run, by primitive steps taken. The first one creates the folder."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)

@@ -35,11 +35,9 @@ COUNTERS = (
     "_untrained_decisions",
     "_options_since",
 )
+# Attributes of a logger, by their names in a checkpoint.
 LOGGED = {"values": "name_to_value", "counts": "name_to_count", "excluded": "name_to_excluded"}
-"""Attributes of a logger, by their names in a checkpoint."""
-
-LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")
-"""Last outputs of the environments."""
+LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts")  # last outputs of the environments
 
 
 def check(model: BaseAlgorithm) -> None:

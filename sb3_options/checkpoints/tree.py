@@ -17,9 +17,7 @@ import torch
 from sb3_options.options.sealed import Arrays
 from sb3_options.state import VALUES, made, names_of
 
-State: TypeAlias = dict[str, Any]
-"""Result of ``get_state`` and argument of ``set_state``."""
-
+State: TypeAlias = dict[str, Any]  # result of ``get_state`` and argument of ``set_state``
 MARK = "$"  # key of a JSON object that is not a dictionary
 
 PLAIN = (bool, int, str, float, type(None))

@@ -187,14 +187,9 @@ class OptionDQN(MaskedPrediction, DQN):
 
 
 def smdp_target(next_values: torch.Tensor, samples: OptionReplayBufferSamples) -> torch.Tensor:
-    """Return R + γᵏ max over available a' of Q(s', a') (Sutton, Precup & Singh 1999, §3).
+    """Return R + γᵏ max over available a' of Q(s', a'), (batch, 1) (Sutton, Precup & Singh 1999, §3).
 
-    Args:
-        next_values: Q(s', ·), (batch, n_actions).
-        samples: The transitions; ``next_available`` covers the last actions, primitives are always available.
-
-    Returns:
-        Targets, (batch, 1).
+    ``next_values`` are Q(s', ·), (batch, n_actions). ``next_available`` covers the last ones: primitives always are.
     """
     if samples.next_available is not None:
         max_options = samples.next_available.shape[1]

@@ -9,13 +9,9 @@ from sb3_options.density.arrays import short_key
 from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.learning.novelty import N_FEATURES, NetworkNovelty, RandomNetworkDistillation, Steps, as_array, network
 
-ALPHA = 0.5
-"""Share of the novelty of the observation before that `NovelD` subtracts (Zhang et al. 2021, α)."""
-
+ALPHA = 0.5  # share of the novelty of the observation before that `NovelD` subtracts (Zhang et al. 2021, α)
 DECIMALS = 5  # to which observations are rounded before they are compared: normalisation leaves rounding errors
-
-RIDGE = 0.1
-"""Multiple of the identity that `EllipticalBonus` begins an episode with (Henaff et al. 2022, λ)."""
+RIDGE = 0.1  # multiple of the identity that `EllipticalBonus` begins an episode with (Henaff et al. 2022, λ)
 
 
 class NovelD(RandomNetworkDistillation):

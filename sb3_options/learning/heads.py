@@ -14,27 +14,18 @@ import torch
 CLOSED_VALUE = -1e6
 """Bias of a closed output: below any return, of probability 0 as a logit, and far from float32's overflow."""
 
-ROUNDING = 1e-4
-"""Tolerance of `check_outputs`, relative to the number added to one output, for it and for the others."""
+ROUNDING = 1e-4  # tolerance of `check_outputs`, relative to the number added to one output, for it and for the others
 
 VALUES = ("q_net", "quantile_net")
 """Attributes of a policy that hold networks of action values; the target network has the suffix ``_target``."""
 
 
 def option_outputs(policy: Any) -> list[tuple[torch.nn.Linear, int]]:
-    """Return the last layers that give one value (or one set of quantiles) per action.
+    """Return the last layers that give one value (or set of quantiles) per action, each with its outputs per action.
 
-    They are found by their shape: in each network the last linear layer with an output for each action.
-
-    Args:
-        policy: Policy of an SB3 model.
-
-    Returns:
-        A layer and its outputs per action, for each of the heads. These are the online and the target network of DQN
-        and QRDQN, or the logits of an actor-critic policy (PPO, A2C, TRPO, MaskablePPO, RecurrentPPO).
-
-    Raises:
-        TypeError: There is no such network, or it has no such layer.
+    They are found by their shape: in each network the last linear layer with an output for each action. The networks
+    are the online and the target network of DQN and QRDQN, or the logits of an actor-critic policy (PPO, A2C, TRPO,
+    MaskablePPO, RecurrentPPO). `TypeError`: there is no such network, or it has no such layer.
     """
     n_actions = int(policy.action_space.n)
     if networks(policy):
@@ -100,12 +91,8 @@ def open_head(policy: Any, action: int, n_primitive: int, *, odds: float | None 
 
     The mean never exceeds the best primitive's value. So exploration chooses a new option, not a lucky initial value.
 
-    Args:
-        policy: Policy of an SB3 model.
-        action: Action whose head is closed.
-        n_primitive: Number of primitive actions.
-        odds: For logits: probability of the action over that of all primitives together, if these are equally likely.
-            None makes it as likely as one of them. The more certain the policy, the smaller its probability.
+    ``odds``, for logits, are the probability of the action over that of all primitives together, if these are equally
+    likely. None makes it as likely as one of them. The more certain the policy, the smaller its probability.
     """
     for layer, outputs in option_outputs(policy):
         primitive = torch.stack([rows_of(layer, outputs, a) for a in range(n_primitive)])

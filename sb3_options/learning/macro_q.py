@@ -21,12 +21,7 @@ LONGEST_ROLLOUT = 1000
 
 
 class LinearFeatures(Protocol):
-    """Says which of ``n_features`` binary features are 1 in an observation; always ``n_active`` of them.
-
-    Attributes:
-        n_features: Number of features.
-        n_active: Number of features that are 1.
-    """
+    """Says which of ``n_features`` binary features are 1 in an observation; always ``n_active`` of them."""
 
     n_features: int
     n_active: int
@@ -181,13 +176,8 @@ class MacroQ(MaskedPrediction):
     ) -> Self:
         """Learn for a number of timesteps; arguments and result are as in SB3.
 
-        Args:
-            total_timesteps: Primitive steps if a callback of this library counts them, else decisions.
-            callback: One callback or several.
-            log_interval: Episodes between two entries of the log; None writes none.
-            tb_log_name: Name of the run for TensorBoard.
-            reset_num_timesteps: Whether counting starts from 0.
-            progress_bar: Whether to show a progress bar.
+        ``total_timesteps`` are primitive steps if a callback of this library counts them, else decisions. There are
+        ``log_interval`` episodes between two entries of the log; None writes none.
         """
         # Callbacks find each other in the local `callback`, as with SB3's own algorithms.
         total_timesteps, callback = self._setup_learn(
@@ -251,13 +241,7 @@ class MacroQ(MaskedPrediction):
     ) -> None:
         """Update the values from one call of ``step`` and from the primitive steps inside it.
 
-        Args:
-            began: Active features where the call began.
-            action: The augmented action.
-            reward: Σ γⁱ rᵢ.
-            arrived: Active features where the call led.
-            ended: Whether nothing follows.
-            run: The action's run; None if the environment has no options.
+        ``began`` and ``arrived`` are the active features before and after. Without options there is no ``run``.
         """
         if run is None:
             self._update(began, action, reward, self.gamma, arrived, ended, ())

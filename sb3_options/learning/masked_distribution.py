@@ -18,19 +18,11 @@ from sb3_contrib.common.maskable.distributions import (
 from torch.distributions import Distribution
 from torch.distributions.utils import lazy_property
 
-MASKED = -1e8
-"""Logit of a masked action, as in sb3-contrib."""
+MASKED = -1e8  # logit of a masked action, as in sb3-contrib
 
 
 class QuickMaskableCategorical(MaskableCategorical):
-    """Categorical distribution over the actions that masks allow.
-
-    Args:
-        logits: Unnormalised logarithms of probabilities, (batch, n_actions).
-
-    Raises:
-        ValueError: A logit is NaN or infinite.
-    """
+    """Categorical distribution over the actions that masks allow, of unnormalised logits (batch, n_actions)."""
 
     def __init__(self, logits: torch.Tensor) -> None:
         total = logits.logsumexp(dim=-1, keepdim=True)

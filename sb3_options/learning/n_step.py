@@ -7,9 +7,7 @@ import numpy.typing as npt
 
 Indices = npt.NDArray[np.int64]
 
-Column = npt.NDArray[np.float32]
-"""A number for each row of a replay buffer."""
-
+Column = npt.NDArray[np.float32]  # a number for each row of a replay buffer
 END = -1  # no stored row follows: the episode ended, or this is the newest decision
 
 
@@ -75,13 +73,8 @@ class Successors:
     def returns(self, rows: Indices, n: int, rewards: Column, discounts: Column) -> tuple[Indices, Column, Column]:
         """Compute returns over the next n decisions, or fewer if the episode ends or no more are stored.
 
-        They are R₁ + γ^k₁ R₂ + γ^(k₁+k₂) R₃ + …, each Rᵢ over the kᵢ primitive steps of its decision.
-
-        Args:
-            rows: Rows where the returns begin, (batch,).
-            n: Number of decisions.
-            rewards: Rewards of all rows of the buffer.
-            discounts: The γᵏ of all rows.
+        They begin in ``rows``, (batch,), and are R₁ + γ^k₁ R₂ + γ^(k₁+k₂) R₃ + …, each Rᵢ over the kᵢ primitive steps
+        of its decision. ``rewards`` and ``discounts`` γᵏ are those of the whole buffer.
 
         Returns:
             The row of the last decision, in whose next observation the value is bootstrapped; the returns; and γ to the

@@ -17,26 +17,15 @@ from torch import nn
 from torch.nn import functional
 
 from sb3_options.density.arrays import short_key
-from sb3_options.experience.observations import (
-    BoolArray,
-    FeatureMap,
-    FloatArray,
-    IntArray,
-    Observations,
-    batch_size,
-    concatenate,
-    flatten,
-)
+from sb3_options.experience import observations as obs_batch
+from sb3_options.experience.observations import BoolArray, FloatArray, IntArray, Observations
 
 NoveltyKind: TypeAlias = Literal["counts", "rnd", "noveld", "e3b"]
 """How novelty is measured: by `StateCounts`, `RandomNetworkDistillation`, `NovelD` or `EllipticalBonus`."""
 
 CLIP = 5.0  # normalised observations are clipped to ± this (Burda et al. 2018, §2.4)
 SMALLEST = 1e-8  # added to variances before dividing by their root
-
-BINS = 20.0
-"""Number of bins from the lowest to the highest value of a bounded number in a flat observation."""
-
+BINS = 20.0  # number of bins from the lowest to the highest value of a bounded number in a flat observation
 LARGEST_SPAN = 1e6  # a wider range than this (the largest float, say) is no bound
 N_FEATURES = 64  # numbers that the random network makes of an observation
 HIDDEN = 128  # units of a hidden layer; the predictor has one more such layer
@@ -45,28 +34,21 @@ BATCH = 64  # bonuses are computed, and networks take a gradient step, for at le
 
 
 class Steps(NamedTuple):
-    """Primitive steps of several environments, those of each in order of time.
+    """Primitive steps of several environments, those of each in order of time."""
 
-    Attributes:
-        before: Observations acted in, (n, ...).
-        actions: Primitive actions, (n,).
-        after: Observations arrived in, (n, ...).
-        envs: Numbers of the environments, (n,).
-        begins: Whether the step is the first of its episode, (n,).
-    """
-
-    before: Observations
-    actions: IntArray
-    after: Observations
-    envs: IntArray
-    begins: BoolArray
+    before: Observations  # acted in, (n, ...)
+    actions: IntArray  # primitive, (n,)
+    after: Observations  # arrived in, (n, ...)
+    envs: IntArray  # numbers of the environments, (n,)
+    begins: BoolArray  # whether the step is the first of its episode, (n,)
 
     @classmethod
     def joined(cls, parts: Sequence[Steps]) -> Steps:
         """Return all steps, one part after the other."""
         before, actions, after, envs, begins = zip(*parts, strict=True)
         joined = np.concatenate
-        return cls(concatenate(before), joined(actions), concatenate(after), joined(envs), joined(begins))
+        together = obs_batch.concatenate
+        return cls(together(before), joined(actions), together(after), joined(envs), joined(begins))
 
 
 class StateCounts:
@@ -78,7 +60,7 @@ class StateCounts:
 
     STATE = ("visits",)
 
-    def __init__(self, features: FeatureMap, widths: float | FloatArray = 1.0) -> None:
+    def __init__(self, features: obs_batch.FeatureMap, widths: float | FloatArray = 1.0) -> None:
         self.features = features
         self.widths = widths
         self.visits: dict[bytes, int] = {}
@@ -91,13 +73,9 @@ class StateCounts:
         return [short_key(row.tobytes()) for row in np.rint(rows / self.widths).astype(np.int64)]
 
     def bonuses(self, steps: Steps) -> FloatArray:
-        """Return `visit` of the observations arrived in."""
-        return self.visit(steps.after)
-
-    def visit(self, observations: Observations) -> FloatArray:
-        """Count each observation and return 1 / √N, (batch,): 1 the first time. Duplicates in a batch all count."""
-        counts = np.empty(batch_size(observations))
-        for i, key in enumerate(self.keys(observations)):
+        """Count each observation arrived in and return 1 / √N, (n,): 1 the first time. All duplicates count."""
+        counts = np.empty(len(steps.actions))
+        for i, key in enumerate(self.keys(steps.after)):
             counts[i] = self.visits[key] = self.visits.get(key, 0) + 1
         return 1.0 / np.sqrt(counts)
 
@@ -166,12 +144,8 @@ class RandomNetworkDistillation(NetworkNovelty):
         super().__init__(size, self.predictor)
 
     def bonuses(self, steps: Steps) -> FloatArray:
-        """Return `visit` of the observations arrived in."""
-        return self.visit(steps.after)
-
-    def visit(self, observations: Observations) -> FloatArray:
-        """Return the error before the predictor learns from these observations, (batch,)."""
-        rows = flatten(observations)
+        """Return the error for the observations arrived in, before the predictor learns from them, (n,)."""
+        rows = obs_batch.flatten(steps.after)
         self.statistics.update(rows)
         errors = self.errors(self.normalized(rows))
         self.learn(errors.mean())

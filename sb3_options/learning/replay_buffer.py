@@ -16,8 +16,7 @@ from sb3_options.learning.n_step import Successors
 
 NO_ROWS: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
-Rows = dict[str, npt.NDArray[Any]]
-"""Observations by key; the key is empty unless the space is a ``Dict``."""
+Rows = dict[str, npt.NDArray[Any]]  # observations by key; the key is empty unless the space is a ``Dict``
 
 
 class OptionReplayBufferSamples(NamedTuple):

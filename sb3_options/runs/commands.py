@@ -9,8 +9,7 @@ from typing import Literal
 from sb3_options.checked import settings
 from sb3_options.runs.config import Count
 
-EVAL_SEED = 10_000
-"""Evaluation environments count their seeds from here, so that none equals a training seed."""
+EVAL_SEED = 10_000  # evaluation environments count their seeds from here, so that none equals a training seed
 
 
 @settings

@@ -34,29 +34,20 @@ TAGS: dict[str, dict[Measure, str]] = {
 }
 """Tags under which SB3 logs a measure: in evaluations, and for the last 100 training episodes."""
 
-NO_SETTING = HOW_IT_RAN | {"seed"}
-"""Settings that may differ between runs of one group."""
+NO_SETTING = HOW_IT_RAN | {"seed"}  # settings that may differ between runs of one group
 
 EVENTS = "**/*tfevents*"
 
-LONGEST_NAME = 40
-"""Characters of a heading that fit two lines of a table with 80 columns."""
-
-LINE = 72
-"""Characters that fit on a line below the picture."""
-
-N_POINTS = 200
-"""Number of points at which curves are drawn."""
-
-END = 0.1
-"""Last share of training whose mean is the result at the end."""
+LONGEST_NAME = 40  # characters of a heading that fit two lines of a table with 80 columns
+LINE = 72  # characters that fit on a line below the picture
+N_POINTS = 200  # number of points at which curves are drawn
+END = 0.1  # last share of training whose mean is the result at the end
 
 CAPTION = (
     "Interquartile means with 95 % stratified bootstrap intervals. A run that never gets there counts with the whole "
     "budget, that of the shortest run."
 )
-Numbers: TypeAlias = dict[str, Interval | int | str]
-"""Results of a group, by their names in the table."""
+Numbers: TypeAlias = dict[str, Interval | int | str]  # results of a group, by their names in the table
 
 UNITS: dict[Measure, str] = {"success": "success rate", "return": "return", "length": "primitive steps of an episode"}
 

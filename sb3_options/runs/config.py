@@ -36,8 +36,7 @@ ALGORITHMS = {
 }
 """Module and class of each algorithm. The first is the default: it starts options only in their initiation sets."""
 
-CLONING = ("maskableppo", "ppo", "a2c", "trpo")
-"""Algorithms whose policy samples, and can be cloned from demonstrations."""
+CLONING = ("maskableppo", "ppo", "a2c", "trpo")  # their policies sample, and can be cloned from demonstrations
 
 CLONED = {"ent_coef": 0.0, "learning_rate": 0.0003, "max_runs": 5}
 """Settings for a cloned policy: an entropy bonus or large updates would undo the cloning. The limit is for a policy
@@ -49,19 +48,17 @@ OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 FITTED = {"exploration_initial_eps": 0.05, "learning_starts": 0}
 """Settings for action values that were fitted to demonstrations: random actions would leave the demonstrated way."""
 
-REFINED = ("maskableppo", "ppo")
-"""Algorithms that take smaller updates from `MANY` demonstrations on: measured, or similar to a measured one."""
+REFINED = ("maskableppo", "ppo")  # take smaller updates from `MANY` demonstrations on: measured, or similar to these
 
 CLONED_FROM_MANY = CLONED | {"learning_rate": 0.0001, "max_runs": 15}
 """The same from `MANY` demonstrations on. Larger updates make a good policy worse, and options are not learned anew
 while it succeeds. In one demonstration of KeyCorridorS6R3 an option may run seven times."""
 
-MAX_SEED = 2**32 - 1
-"""Largest seed that NumPy's generators, which SB3 seeds, accept."""
+MAX_SEED = 2**32 - 1  # largest seed that NumPy's generators, which SB3 seeds, accept
 
+# Limits above the needs of any run. Larger numbers in a stranger's file would only use up memory.
 MAX_ENVS = 10_000
 MAX_OPTIONS = 10_000
-"""Limits above the needs of any run. Larger numbers in a stranger's file would only use up memory."""
 
 IMPORTING = {"env": "environment", "env_wrapper": "wrapper", "feature_map": "feature map"}
 """Settings that may import a module, and their meanings. Only the command line is trusted with them."""
@@ -146,20 +143,11 @@ GROUPS = {"discovery": DiscoverySettings, "option": OptionLearningSettings, "use
 SETTINGS = (*(f"{group}.{f.name}" for group, of in GROUPS.items() for f in dataclasses.fields(of)), *FIELDS)
 """Full names of all settings."""
 
-HOW_IT_RAN = frozenset({"checkpoint_freq", "progress", "tensorboard_log", "vec_env"})
-"""Settings without effect on learning."""
-
-ARGUMENT = "algo_kwargs."
-"""Prefix of the full names of an algorithm's arguments."""
-
-SIMILAR = 0.7
-"""Minimum similarity of `difflib` for a suggested word: ``sac`` is not ``a2c``."""
-
-CONFIG = "config.yml"
-"""Settings file in a run folder."""
-
-OWN = ("algo", "algo_kwargs", "n_envs")
-"""Settings that a file gives for its own algorithm only."""
+HOW_IT_RAN = frozenset({"checkpoint_freq", "progress", "tensorboard_log", "vec_env"})  # without effect on learning
+ARGUMENT = "algo_kwargs."  # prefix of the full names of an algorithm's arguments
+SIMILAR = 0.7  # minimum similarity of `difflib` for a suggested word: ``sac`` is not ``a2c``
+CONFIG = "config.yml"  # settings file in a run folder
+OWN = ("algo", "algo_kwargs", "n_envs")  # settings that a file gives for its own algorithm only
 
 
 def configure(**values: Any) -> TrainConfig:

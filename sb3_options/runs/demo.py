@@ -26,38 +26,27 @@ from sb3_options.runs.folder import make_env
 from sb3_options.runs.training import discovery_callback, use_one_thread
 from sb3_options.runs.video import RecordFrames, captioned, write_beside
 
-LEARNED = 0.9
-"""An agent has learned the task when two evaluations in a row reach this success rate."""
+LEARNED = 0.9  # an agent has learned the task when two evaluations in a row reach this success rate
 
 EVALUATION_EPISODES = 20
 FILM_EPISODES = 3
 FILM_FPS = 12.0
 
-Result: TypeAlias = dict[str, Any]
-"""One training in the target, as in ``demo.json``."""
+Result: TypeAlias = dict[str, Any]  # one training in the target, as in ``demo.json``
 
 WITH, WITHOUT = "with the option", "without"
 COLOURS = {WITH: "#d62728", WITHOUT: "0.45"}
 
 
 class Claim(NamedTuple):
-    """A pair of tasks with a common bottleneck: options are discovered in the source and used in the target.
+    """A pair of tasks with a common bottleneck: options are discovered in the source and used in the target."""
 
-    Attributes:
-        first: Description of the source, for people.
-        second: Description of the target.
-        source: Settings of the first task.
-        target: Settings of the second task.
-        evaluate_every: Primitive steps between evaluations.
-        cells: Columns and rows of the map, in which subgoals are marked; None if the map changes every episode.
-    """
-
-    first: str
-    second: str
-    source: dict[str, Any]
-    target: dict[str, Any]
-    evaluate_every: int
-    cells: tuple[int, int] | None = None
+    first: str  # description of the source, for people
+    second: str  # description of the target
+    source: dict[str, Any]  # settings of the first task
+    target: dict[str, Any]  # settings of the second task
+    evaluate_every: int  # primitive steps between evaluations
+    cells: tuple[int, int] | None = None  # columns and rows of a map to mark subgoals in; None if it changes
 
 
 CLAIMS = {name: Claim(**claim) for name, claim in shipped("demo.yml").items()}
@@ -178,11 +167,7 @@ def table_of(results: Sequence[Result]) -> Table:
 def figure_of(results: Sequence[Result], claim: Claim, options: Sequence[DiscoveredOption], task: Any) -> Figure:
     """Draw learning curves, thin for each seed and thick for their mean, beside a picture of the target.
 
-    Args:
-        results: The trainings of both arms.
-        claim: The pair of tasks.
-        options: Options whose subgoals are marked.
-        task: A picture of the target, (height, width, 3).
+    The subgoals of the options are marked in the picture ``task``, (height, width, 3).
     """
     figure = Figure(figsize=(10.0, 3.4), layout="compressed")
     left, right = figure.subplots(1, 2)

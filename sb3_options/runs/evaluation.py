@@ -29,8 +29,7 @@ from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.intervals import Interval, mean_interval, share_interval
 from sb3_options.runs.video import RecordFrames, render_mode_of, video_file
 
-VIDEO_EPISODES = 10
-"""Maximum number of episodes in a video."""
+VIDEO_EPISODES = 10  # maximum number of episodes in a video
 
 
 class Evaluation(NamedTuple):

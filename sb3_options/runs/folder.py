@@ -38,8 +38,7 @@ CHECKPOINTS = "checkpoints"
 MONITOR = "monitor"
 SUBGOALS = "subgoals.png"
 
-LOCK = ".training"
-"""Lock file in the run folder, removed when training ends."""
+LOCK = ".training"  # lock file in the run folder, removed when training ends
 
 
 def new_run_folder(config: TrainConfig) -> Path:

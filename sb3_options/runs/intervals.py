@@ -8,25 +8,13 @@ from scipy.stats import binomtest, bootstrap, mannwhitneyu, trim_mean
 from sb3_options.experience.observations import FloatArray
 
 CONFIDENCE = 0.95
-N_RESAMPLES = 9999
-"""Number of bootstrap resamples. A fixed seed gives the same values the same interval."""
-
-
-N_STRATIFIED = 5000
-"""Number of resamples of a stratified bootstrap."""
-
-N_BANDS = 500
-"""Number of resamples of a curve."""
+N_RESAMPLES = 9999  # number of bootstrap resamples. A fixed seed gives the same values the same interval.
+N_STRATIFIED = 5000  # number of resamples of a stratified bootstrap
+N_BANDS = 500  # number of resamples of a curve
 
 
 class Interval(NamedTuple):
-    """An estimate with its confidence interval.
-
-    Attributes:
-        mean: The estimate.
-        low: Lower end of the 95 % interval.
-        high: Upper end of the interval.
-    """
+    """An estimate, ``mean``, and the ends of its 95 % confidence interval."""
 
     mean: float
     low: float

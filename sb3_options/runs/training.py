@@ -38,16 +38,12 @@ from sb3_options.runs.folder import held
 from sb3_options.runs.report import Trained, closing_report, how_to_resume
 from sb3_options.runs.video import mode_among
 
-FINISHED = f"{runs.CHECKPOINTS}/finished.yml"
-"""File that marks a run folder whose training is complete."""
+FINISHED = f"{runs.CHECKPOINTS}/finished.yml"  # file that marks a run folder whose training is complete
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-PATIENCE = 5.0
-"""Seconds for training to reach a point where it can write a checkpoint. Docker kills 10 s after SIGTERM."""
-
-EVAL_STEPS = 1_000
-"""Maximum primitive steps of an evaluation episode, if the environment id has no limit."""
+PATIENCE = 5.0  # seconds for training to reach a point where it can write a checkpoint: Docker kills 10 s after SIGTERM
+EVAL_STEPS = 1_000  # maximum primitive steps of an evaluation episode, if the environment id has no limit
 
 
 class Interrupts:

@@ -16,23 +16,12 @@ from sb3_options.atomic import atomic_write
 from sb3_options.runs.config import TrainConfig
 from sb3_options.runs.folder import make_env
 
-CAPTION_HEIGHT = 24
-"""Pixels of the strip that names the running option."""
-
-CAPTION_MARGIN = (4, 2)
-"""Pixels left and right of the text, and above it."""
-
-DEFAULT_FPS = 15
-"""Pictures per second if the environment does not say."""
-
-GAP = 12
-"""White pixels between two films."""
-
-MODES = ("rgb_array_list", "rgb_array")
-"""Render modes that return pictures. The first returns every picture of a step."""
-
-GIF_PICTURES = 600
-"""Maximum pictures of a GIF, which is made in memory, and held there by a browser."""
+CAPTION_HEIGHT = 24  # pixels of the strip that names the running option
+CAPTION_MARGIN = (4, 2)  # pixels left and right of the text, and above it
+DEFAULT_FPS = 15  # pictures per second if the environment does not say
+GAP = 12  # white pixels between two films
+MODES = ("rgb_array_list", "rgb_array")  # render modes that return pictures. The first returns every picture of a step.
+GIF_PICTURES = 600  # maximum pictures of a GIF, which is made in memory, and held there by a browser
 
 
 class RecordFrames(gym.Wrapper[Any, Any, Any, Any]):

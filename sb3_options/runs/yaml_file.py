@@ -10,11 +10,8 @@ import yaml
 
 from sb3_options.atomic import atomic_write
 
-MAX_CHARACTERS = 100_000
-"""Maximum characters read. PyYAML takes about a second for them."""
-
-MAX_DEPTH = 20
-"""Maximum nesting."""
+MAX_CHARACTERS = 100_000  # maximum characters read. PyYAML takes about a second for them.
+MAX_DEPTH = 20  # maximum nesting
 
 SCIENTIFIC = re.compile(r"[-+]?[0-9][0-9_]*(\.[0-9_]*)?[eE][-+]?[0-9]+$")
 """YAML 1.2 numbers that PyYAML, which follows 1.1, takes for text: 1e4, 3e-4."""

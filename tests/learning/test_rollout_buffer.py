@@ -32,8 +32,7 @@ from tests.support.sb3_helpers import Corridor, env_of, places
 GAMMA, LAMBDA = 0.9, 0.8
 
 
-ENOUGH = 100_000
-"""Primitive steps in which a rollout of any options is complete."""
+ENOUGH = 100_000  # Primitive steps in which a rollout of any options is complete
 
 
 class OneRollout(BaseCallback):

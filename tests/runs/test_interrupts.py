@@ -23,8 +23,7 @@ from sb3_options.runs.training import SIGNALS, Interrupts
 from tests.runs.conftest import Register
 from tests.support.runs import train
 
-AT_STEP = 60
-"""Of training."""
+AT_STEP = 60  # of training
 
 
 def send(number: int = signal.SIGINT) -> None:

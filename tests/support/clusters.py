@@ -10,11 +10,8 @@ from typing import Any
 
 from sb3_options.execution.ray_vec_env import RayVecEnv, require_ray
 
-STORE = 80 * 2**20
-"""Bytes of shared memory of a node; Ray asks for 75 MB at least."""
-
-LIMIT = 300.0
-"""Seconds after which something hangs, on however slow a machine."""
+STORE = 80 * 2**20  # bytes of shared memory of a node; Ray asks for 75 MB at least
+LIMIT = 300.0  # seconds after which something hangs, on however slow a machine
 
 SOON: dict[str, int] = {
     "health_check_period_ms": 1_000,

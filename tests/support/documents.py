@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-PACKAGE = ROOT / "docs" / "package.md"
-"""What a package index shows, and no page of the site."""
+PACKAGE = ROOT / "docs" / "package.md"  # what a package index shows, and no page of the site
 
 PAGES = (README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md")))
 

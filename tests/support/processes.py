@@ -14,8 +14,7 @@ from collections.abc import Mapping
 from multiprocessing import get_context, set_forkserver_preload
 from pathlib import Path
 
-HANGING = 600
-"""Seconds after which a process counts as hanging. No test may take so long, however busy the machine."""
+HANGING = 600  # seconds after which a process counts as hanging. No test may take so long, however busy the machine.
 
 LIBRARIES = [
     *("gymnasium", "matplotlib.figure", "pydantic", "safetensors.numpy", "sb3_contrib", "scipy.stats"),

@@ -6,8 +6,7 @@ from pathlib import Path
 from sb3_options.runs import training
 from sb3_options.runs.config import TrainConfig
 
-Refused = Callable[..., str]
-"""The fixture `refused`: the words of a command, to what it says."""
+Refused = Callable[..., str]  # the fixture `refused`: the words of a command, to what it says
 
 
 def train(config: TrainConfig) -> Path:
