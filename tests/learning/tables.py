@@ -68,7 +68,7 @@ def filled(algorithm: type[OffPolicyAlgorithm], task: Task, macro_q: bool, monke
     return model
 
 
-def tables(model: Any) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def q_tables(model: Any) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """What the online and the target network give in each state, in float64, (states, outputs)."""
     layers = [layer for layer, _ in heads.option_outputs(model.policy)]
     both = [(layer.weight.detach().double().T + layer.bias.detach().double()).cpu().numpy() for layer in layers]

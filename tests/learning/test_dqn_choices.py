@@ -18,17 +18,7 @@ from sb3_options import OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.learning import heads
 from sb3_options.learning.dqn import FASTER_WITH_OPTIONS
-from tests.learning.tables import (
-    GAMMA,
-    N_ACTIONS,
-    N_PRIMITIVE,
-    N_STATES,
-    TABULAR,
-    Task,
-    available_in,
-    random_task,
-    tables,
-)
+from tests.learning import tables
 from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import (
     RANDOM,
@@ -43,18 +33,18 @@ from tests.support.sb3_helpers import (
 
 
 def optioned_corridor(kind: str) -> OptionsWrapper:
-    wrapped = OptionsWrapper(Corridor(kind), 1, gamma=GAMMA, feature_map=places)
+    wrapped = OptionsWrapper(Corridor(kind), 1, gamma=tables.GAMMA, feature_map=places)
     wrapped.bank.add(corridor_option())
     return wrapped
 
 
 class TestOptionDQN:
-    def run(self, **kwargs: Any) -> tuple[Task, list[tuple[int, int]]]:
+    def run(self, **kwargs: Any) -> tuple[tables.Task, list[tuple[int, int]]]:
         """States and the augmented actions chosen in them, over thousands of draws; every option is worth 1e3 more."""
-        task = random_task(5)
-        model = OptionDQN("MlpPolicy", task.env, gamma=GAMMA, **TABULAR | kwargs)
+        task = tables.random_task(5)
+        model = OptionDQN("MlpPolicy", task.env, gamma=tables.GAMMA, **tables.TABULAR | kwargs)
         for layer, _ in heads.option_outputs(model.policy):
-            torch.nn.init.constant_(layer.bias[N_PRIMITIVE:], 1e3)
+            torch.nn.init.constant_(layer.bias[tables.N_PRIMITIVE :], 1e3)
         states = []
         stock = model._sample_action
 
@@ -71,12 +61,12 @@ class TestOptionDQN:
     @pytest.mark.parametrize("kwargs", [{"learning_starts": 10_000}, RANDOM], ids=["warm-up", "epsilon"])
     def test_random_choices_take_every_available_action_and_no_other(self, kwargs: dict[str, Any]) -> None:
         task, draws = self.run(**kwargs)
-        taken: dict[int, Counter[int]] = {state: Counter() for state in range(N_STATES)}
+        taken: dict[int, Counter[int]] = {state: Counter() for state in range(tables.N_STATES)}
         for state, action in draws:
             taken[state][action] += 1
         assert sum(len(c) > 0 for c in taken.values()) >= 6
         for state, counts in taken.items():
-            available = available_in(state, task.options)
+            available = tables.available_in(state, task.options)
             assert set(counts) <= set(available)
             if counts.total() > 60:
                 assert set(counts) == set(available)
@@ -85,13 +75,13 @@ class TestOptionDQN:
 
     def test_greedy_choices_are_the_best_available_ones(self) -> None:
         task, draws = self.run(exploration_initial_eps=0.0, exploration_final_eps=0.0)
-        assert all(action in available_in(state, task.options) for state, action in draws)
+        assert all(action in tables.available_in(state, task.options) for state, action in draws)
         for state, action in draws:
-            some_option = len(available_in(state, task.options)) > N_PRIMITIVE
-            assert (action >= N_PRIMITIVE) == some_option
+            some_option = len(tables.available_in(state, task.options)) > tables.N_PRIMITIVE
+            assert (action >= tables.N_PRIMITIVE) == some_option
 
     def test_epsilon_is_the_share_of_random_choices(self) -> None:
-        model = OptionDQN("MlpPolicy", random_task(5).env, gamma=GAMMA, **TABULAR)
+        model = OptionDQN("MlpPolicy", tables.random_task(5).env, gamma=tables.GAMMA, **tables.TABULAR)
         model.exploration_rate = 0.3
         observations = np.zeros(4000, dtype=np.int64)
         greedy = model.predict(observations, deterministic=True)[0][0]
@@ -100,22 +90,22 @@ class TestOptionDQN:
         assert abs(share - 0.3 * (1 - 1 / n_available)) < 0.03
 
     def test_predicts_one_and_a_batch(self) -> None:
-        task = random_task(5)
-        model = OptionDQN("MlpPolicy", task.env, gamma=GAMMA, **TABULAR)
+        task = tables.random_task(5)
+        model = OptionDQN("MlpPolicy", task.env, gamma=tables.GAMMA, **tables.TABULAR)
         for layer, _ in heads.option_outputs(model.policy):
             torch.nn.init.uniform_(layer.weight, -1, 1)
-        online, _ = tables(model)
-        batch, state = model.predict(np.arange(N_STATES), deterministic=True)
+        online, _ = tables.q_tables(model)
+        batch, state = model.predict(np.arange(tables.N_STATES), deterministic=True)
         assert state is None
-        for s in range(N_STATES):
+        for s in range(tables.N_STATES):
             one, _ = model.predict(np.array(s), deterministic=True)
             assert one.shape == ()
-            assert int(one) == batch[s] == max(available_in(s, task.options), key=lambda a: online[s, a])
+            assert int(one) == batch[s] == max(tables.available_in(s, task.options), key=lambda a: online[s, a])
 
     def test_given_masks_win(self) -> None:
-        model = OptionDQN("MlpPolicy", random_task(5).env, gamma=GAMMA, **TABULAR)
-        for action in range(N_ACTIONS):
-            mask = np.arange(N_ACTIONS) == action
+        model = OptionDQN("MlpPolicy", tables.random_task(5).env, gamma=tables.GAMMA, **tables.TABULAR)
+        for action in range(tables.N_ACTIONS):
+            mask = np.arange(tables.N_ACTIONS) == action
             for deterministic in (True, False):
                 assert model.predict(np.array(2), deterministic=deterministic, action_masks=mask)[0] == action
 
@@ -123,9 +113,9 @@ class TestOptionDQN:
     def test_asks_the_wrapper_with_the_observations_it_knows(self, kind: str) -> None:
         venv: VecEnv = DummyVecEnv([lambda: optioned_corridor(kind.replace("normalized", "box"))] * 2)
         venv = VecTransposeImage(venv) if kind in ("image", "dict") else venv
-        venv = VecNormalize(venv, gamma=GAMMA) if kind == "normalized" else venv
+        venv = VecNormalize(venv, gamma=tables.GAMMA) if kind == "normalized" else venv
         policy = {"dict": "MultiInputPolicy", "image": "CnnPolicy"}.get(kind, "MlpPolicy")
-        model = OptionDQN(policy, venv, gamma=GAMMA, learning_starts=20, train_freq=8, buffer_size=200, seed=0)
+        model = OptionDQN(policy, venv, gamma=tables.GAMMA, learning_starts=20, train_freq=8, buffer_size=200, seed=0)
         model.learn(100)
         buffer = model._option_buffer()
         at = places(buffer.next_observations_stored())[:, 0]
@@ -137,8 +127,8 @@ class TestOptionDQN:
 
     def test_masks_of_clipped_observations_are_those_of_the_originals(self) -> None:
         inner = DummyVecEnv([lambda: optioned_corridor("box")] * 2)
-        venv = VecNormalize(inner, gamma=GAMMA, clip_obs=0.5, norm_reward=False)
-        model = OptionDQN("MlpPolicy", venv, gamma=GAMMA, buffer_size=200, seed=0)
+        venv = VecNormalize(inner, gamma=tables.GAMMA, clip_obs=0.5, norm_reward=False)
+        model = OptionDQN("MlpPolicy", venv, gamma=tables.GAMMA, buffer_size=200, seed=0)
         model.q_net.eval()
         rng, masks = np.random.default_rng(0), []
         observations: Any = venv.reset()
@@ -149,16 +139,16 @@ class TestOptionDQN:
         assert {bool(m) for m in np.concatenate(masks)[:, 2]} == {False, True}
 
     def test_a_replay_buffer_of_dqn_is_masked(self, tmp_path: Path) -> None:
-        own = {"replay_buffer_class": OptionReplayBuffer, **TABULAR}
-        stock = DQN("MlpPolicy", random_task(5).env, gamma=GAMMA, **own)
+        own = {"replay_buffer_class": OptionReplayBuffer, **tables.TABULAR}
+        stock = DQN("MlpPolicy", tables.random_task(5).env, gamma=tables.GAMMA, **own)
         stock.learn(300)
         stock.save_replay_buffer(tmp_path / "buffer")
-        task = random_task(5)
-        model = OptionDQN("MlpPolicy", task.env, gamma=GAMMA, **TABULAR)
+        task = tables.random_task(5)
+        model = OptionDQN("MlpPolicy", task.env, gamma=tables.GAMMA, **tables.TABULAR)
         model.load_replay_buffer(tmp_path / "buffer")
         model.learn(20)
         buffer = model._option_buffer()
-        expected = env_of(model).env_method("available", buffer.next_observations_stored())[0][:, N_PRIMITIVE:]
+        expected = env_of(model).env_method("available", buffer.next_observations_stored())[0][:, tables.N_PRIMITIVE :]
         assert buffer.size() > 300
         assert buffer.next_available[: buffer.size()].tolist() == expected.tolist()
         assert expected.any()
@@ -169,7 +159,7 @@ class TestOptionDQN:
             OptionDQN("MlpPolicy", optioned_rooms(), gamma=0.5, **TINY).learn(10)
         env = optioned_rooms(2)
         env.bank.add(corridor_option(), 1)
-        model = OptionDQN("MlpPolicy", env, gamma=GAMMA, **TINY)
+        model = OptionDQN("MlpPolicy", env, gamma=tables.GAMMA, **TINY)
         model.learn(10)
         assert [heads.is_closed(model.policy, 4 + slot) for slot in range(2)] == [True, False]
 
@@ -242,7 +232,7 @@ def test_updates_are_as_many_as_primitive_steps_and_are_logged(k: int) -> None:
 
 @pytest.mark.parametrize("force_reset", [None, True, False])
 def test_another_environment_is_reset_unless_told_otherwise_and_must_be_wrapped(force_reset: bool | None) -> None:
-    model = OptionDQN("MlpPolicy", optioned_rooms(1), gamma=GAMMA, **TINY)
+    model = OptionDQN("MlpPolicy", optioned_rooms(1), gamma=tables.GAMMA, **TINY)
     assert (model._n_slots, model._option_buffer().next_available.shape[1]) == (1, 1)
     model._last_obs = np.zeros((1, 45))
     env = optioned_rooms(1)

@@ -15,16 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNorm
 from sb3_options import OptionReplayBuffer, OptionsWrapper, expand_action_space
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.learning import heads
-from tests.learning.expanded import (
-    GAMMA,
-    KINDS,
-    MAX_OPTIONS,
-    N_ACTIONS,
-    N_PRIMITIVE,
-    outputs,
-    random_observations,
-    trained,
-)
+from tests.learning import expanded
 from tests.support.sb3_helpers import (
     DOORWAY,
     RANDOM,
@@ -40,35 +31,35 @@ from tests.support.sb3_helpers import (
 
 
 def test_environments_are_wrapped_beneath_whatever_stands_above() -> None:
-    venv = VecNormalize(make_vec_env(small_rooms, 2, seed=0), gamma=GAMMA, clip_reward=np.inf)
-    model = trained("dqn", venv, steps=256)
+    venv = VecNormalize(make_vec_env(small_rooms, 2, seed=0), gamma=expanded.GAMMA, clip_reward=np.inf)
+    model = expanded.trained("dqn", venv, steps=256)
     count = cast("Any", venv.obs_rms).count
-    expand_action_space(model, MAX_OPTIONS)
+    expand_action_space(model, expanded.MAX_OPTIONS)
     assert env_of(model) is venv
     assert model.get_vec_normalize_env() is venv
     assert cast("Any", venv.obs_rms).count == count
-    assert n_actions_of(model) == venv.action_space.n == N_ACTIONS
+    assert n_actions_of(model) == venv.action_space.n == expanded.N_ACTIONS
     for env in cast("DummyVecEnv", venv.unwrapped).envs:
         assert isinstance(env, OptionsWrapper)
         assert isinstance(env.env, Monitor)
-        assert env.gamma == GAMMA
+        assert env.gamma == expanded.GAMMA
     model.learn(300, callback=fast_callback(), reset_num_timesteps=False)
     assert model.num_timesteps == 256 + 304  # whole train_freq's of 2 environments
 
 
 def test_worker_processes_and_a_model_without_environment(tmp_path: Path) -> None:
-    trained("dqn", steps=64).save(tmp_path / "model.zip")
+    expanded.trained("dqn", steps=64).save(tmp_path / "model.zip")
     model = DQN.load(tmp_path / "model.zip")
-    batch = random_observations(model, 3)
-    before = outputs(model, batch)
+    batch = expanded.random_observations(model, 3)
+    before = expanded.outputs(model, batch)
     with pytest.raises(ValueError, match=r"model has no environment: give one to DQN.load\(..., env=...\), or pass "):
         expand_action_space(model, 4)
     workers = SubprocVecEnv([make_optioned_rooms])
     try:
         expand_action_space(model, 4, env=workers)
         assert env_of(model) is workers
-        for a, b in zip(before, outputs(model, batch), strict=True):
-            assert torch.equal(a, b[..., :N_PRIMITIVE])
+        for a, b in zip(before, expanded.outputs(model, batch), strict=True):
+            assert torch.equal(a, b[..., : expanded.N_PRIMITIVE])
         model.learn(64, callback=fast_callback(), reset_num_timesteps=False)
         assert model.num_timesteps == 128
     finally:
@@ -76,7 +67,7 @@ def test_worker_processes_and_a_model_without_environment(tmp_path: Path) -> Non
 
 
 def test_another_environment_takes_the_place_of_the_models(capsys: pytest.CaptureFixture[str]) -> None:
-    model = trained("dqn", steps=64)
+    model = expanded.trained("dqn", steps=64)
     model.verbose = 1
     other = optioned_rooms(2)
     expand_action_space(model, 2, env=other)
@@ -86,24 +77,24 @@ def test_another_environment_takes_the_place_of_the_models(capsys: pytest.Captur
     (env,) = cast("DummyVecEnv", env_of(model)).envs
     assert isinstance(env, Monitor)
     assert env.env is other
-    assert n_actions_of(model) == N_PRIMITIVE + 2
+    assert n_actions_of(model) == expanded.N_PRIMITIVE + 2
 
 
 def test_dqn_discovers_after_it_was_expanded() -> None:
     """Of seeds 10 to 49, 27 find a place within one cell of the doorway; of models built with slots, 30."""
-    model = DQN("MlpPolicy", small_rooms(), gamma=GAMMA, **{**TINY, "seed": 1}, **RANDOM)
+    model = DQN("MlpPolicy", small_rooms(), gamma=expanded.GAMMA, **{**TINY, "seed": 1}, **RANDOM)
     model.learn(1008)  # a multiple of train_freq
-    expand_action_space(model, MAX_OPTIONS)
+    expand_action_space(model, expanded.MAX_OPTIONS)
     callback = fast_callback()
     model.learn(4000, callback=callback, reset_num_timesteps=False)
     assert len(callback.discoveries) == 1
     assert np.abs(callback.discoveries[0].subgoal - DOORWAY).max() <= 1
-    assert not heads.is_closed(model.policy, N_PRIMITIVE)
-    assert heads.is_closed(model.policy, N_PRIMITIVE + 1)
+    assert not heads.is_closed(model.policy, expanded.N_PRIMITIVE)
+    assert heads.is_closed(model.policy, expanded.N_PRIMITIVE + 1)
     buffer = cast("OptionReplayBuffer", model.replay_buffer)
     actions, discounts = buffer.actions[: buffer.size(), 0], buffer.discounts[: buffer.size()]
-    assert set(actions) == set(range(N_PRIMITIVE + 1))
-    assert discounts[actions == N_PRIMITIVE].min() < GAMMA**2
+    assert set(actions) == set(range(expanded.N_PRIMITIVE + 1))
+    assert discounts[actions == expanded.N_PRIMITIVE].min() < expanded.GAMMA**2
     assert model.num_timesteps >= 5000
 
 
@@ -116,8 +107,8 @@ def test_masks_of_the_environment_itself_go_on() -> None:
             assert action == 1 or self.place > 0
             return super().step(action)
 
-    kwargs = {**KINDS["maskableppo"].kwargs, "n_epochs": 1}
-    model = MaskablePPO("MlpPolicy", Masked(), gamma=GAMMA, seed=0, **kwargs).learn(128)
+    kwargs = {**expanded.KINDS["maskableppo"].kwargs, "n_epochs": 1}
+    model = MaskablePPO("MlpPolicy", Masked(), gamma=expanded.GAMMA, seed=0, **kwargs).learn(128)
     expand_action_space(model, 2)
     model.learn(256, callback=SubgoalDiscoveryCallback(max_new_options=0), reset_num_timesteps=False)
     masks = model.rollout_buffer.action_masks.reshape(-1, 4)

@@ -10,20 +10,8 @@ import yaml
 from rich.console import Console
 from stable_baselines3.common.logger import TensorBoardOutputFormat
 
+from sb3_options.runs import compare
 from sb3_options.runs.commands import CompareConfig
-from sb3_options.runs.compare import (
-    Curve,
-    Goal,
-    Run,
-    compared,
-    figure_of,
-    grouped,
-    groups_of,
-    read_run,
-    show_comparison,
-    source_of,
-    table_of,
-)
 
 STEPS = [1000, 2000, 3000, 4000]
 
@@ -43,6 +31,11 @@ def logged(
     return folder
 
 
+def run_of(*logs: Any, **more: Any) -> compare.Run:
+    """The run that `logged` writes."""
+    return compare.read_run(logged(*logs, **more))
+
+
 def shown(table: Any) -> str:
     console = Console(width=120, no_color=True)
     with console.capture() as captured:
@@ -51,7 +44,7 @@ def shown(table: Any) -> str:
 
 
 def test_a_run_is_read_whole(tmp_path: Path) -> None:
-    run = read_run(logged(tmp_path / "run", [0.0, 0.5, 0.75, 1.0], {"algo": "ppo"}))
+    run = run_of(tmp_path / "run", [0.0, 0.5, 0.75, 1.0], {"algo": "ppo"})
     curve = run.curves["rollout"]["success"]
     assert curve.steps.tolist() == STEPS
     assert curve.values.tolist() == [0.0, 0.5, 0.75, 1.0]
@@ -65,19 +58,19 @@ def test_files_of_a_resumed_run_make_one_curve(tmp_path: Path) -> None:
     writer = TensorBoardOutputFormat(str(tmp_path / "run" / "tensorboard_1"))
     writer.write({"rollout/success_rate": 0.5}, {"rollout/success_rate": ()}, 3000)
     writer.close()
-    assert read_run(tmp_path / "run").curves["rollout"]["success"].values.tolist() == [0.0, 0.25, 0.5]
+    assert compare.read_run(tmp_path / "run").curves["rollout"]["success"].values.tolist() == [0.0, 0.25, 0.5]
 
 
 def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
     logged(tmp_path / "empty", [])
     for folder in (tmp_path / "none", tmp_path / "empty"):
         with pytest.raises(ValueError, match="has no TensorBoard file with an evaluation"):
-            read_run(folder)
+            compare.read_run(folder)
 
 
 def test_runs_that_differ_in_their_seed_alone_are_a_group(tmp_path: Path) -> None:
-    def run(name: str, **settings: Any) -> Run:
-        return read_run(logged(tmp_path / "ppo" / name, [0.0, 1.0], {"algo": "ppo", **settings}))
+    def run(name: str, **settings: Any) -> compare.Run:
+        return run_of(tmp_path / "ppo" / name, [0.0, 1.0], {"algo": "ppo", **settings})
 
     runs = [
         run("a_1", seed=0, bonus="rnd", discovery={"decay": 0.9}),
@@ -85,75 +78,76 @@ def test_runs_that_differ_in_their_seed_alone_are_a_group(tmp_path: Path) -> Non
         run("a_3", seed=0, bonus="none", discovery={"decay": 0.9}),
         run("a_4", seed=0, bonus="rnd", discovery={"decay": 0.5}),
     ]
-    groups = grouped(runs)
+    groups = compare.grouped(runs)
     assert {name: [r.folder.name for r in members] for name, members in groups.items()} == {
         "bonus rnd, discovery.decay 0.9": ["a_1", "a_2"],
         "bonus none, discovery.decay 0.9": ["a_3"],
         "bonus rnd, discovery.decay 0.5": ["a_4"],
     }
-    assert list(grouped(runs[:2])) == ["ppo/a"]
-    other = read_run(logged(tmp_path / "dqn", [1.0], {"algo": "dqn", "n_envs": 1, "algo_kwargs": {"batch_size": 64}}))
+    assert list(compare.grouped(runs[:2])) == ["ppo/a"]
+    other = run_of(tmp_path / "dqn", [1.0], {"algo": "dqn", "n_envs": 1, "algo_kwargs": {"batch_size": 64}})
     own = "what an algorithm has of its own goes with it"
-    assert list(grouped([run("b_1"), other])) == ["algo ppo", "algo dqn"], own
+    assert list(compare.grouped([run("b_1"), other])) == ["algo ppo", "algo dqn"], own
     mine = run("b_2", algo_kwargs={"batch_size": 8})
-    assert list(grouped([run("b_1"), mine, other]))[1] == "algo ppo, algo_kwargs.batch_size 8"
+    assert list(compare.grouped([run("b_1"), mine, other]))[1] == "algo ppo, algo_kwargs.batch_size 8"
     far = [run(f"c_{seed}", seed=seed, env_kwargs={"goal": [20, 0], "max_steps": 100}, gamma=0.5) for seed in (1, 2)]
-    assert {name: len(members) for name, members in grouped([*runs[:2], *far]).items()} == {"ppo/a_1": 2, "ppo/c_1": 2}
+    sizes = {name: len(members) for name, members in compare.grouped([*runs[:2], *far]).items()}
+    assert sizes == {"ppo/a_1": 2, "ppo/c_1": 2}
 
 
 def test_runs_of_others_are_grouped_by_their_folders(tmp_path: Path) -> None:
-    runs = [read_run(logged(tmp_path / algo / f"CartPole-v1_{n}", [1.0])) for algo in ("ppo", "dqn") for n in (1, 2)]
-    sizes = {name: len(members) for name, members in grouped(runs).items()}
+    runs = [run_of(tmp_path / algo / f"CartPole-v1_{n}", [1.0]) for algo in ("ppo", "dqn") for n in (1, 2)]
+    sizes = {name: len(members) for name, members in compare.grouped(runs).items()}
     assert sizes == {"ppo/CartPole-v1": 2, "dqn/CartPole-v1": 2}
 
 
-def folders(groups: dict[str, list[Run]]) -> dict[str, list[Path]]:
+def folders(groups: dict[str, list[compare.Run]]) -> dict[str, list[Path]]:
     return {name: [run.folder for run in runs] for name, runs in groups.items()}
 
 
 def test_groups_by_hand(tmp_path: Path) -> None:
     one, two, other = (logged(tmp_path / name, [0.0]) for name in ("a_1", "a_2", "b=1"))
-    groups = groups_of([f"ours={tmp_path}/a_*", str(other)])
+    groups = compare.groups_of([f"ours={tmp_path}/a_*", str(other)])
     assert folders(groups) == {f"{tmp_path.name}/b=1": [other], "ours": [one, two]}
     with pytest.raises(ValueError, match="has no TensorBoard file"):
-        groups_of([f"{tmp_path}/c_*"])
+        compare.groups_of([f"{tmp_path}/c_*"])
 
 
 def test_a_folder_of_runs_stands_for_them(tmp_path: Path) -> None:
     runs = [logged(tmp_path / "ppo" / f"a_{n}", [0.0, 1.0], {"algo": "ppo", "seed": n}) for n in range(2)]
-    assert folders(groups_of([f"ours={tmp_path / 'ppo'}"])) == {"ours": runs}
-    assert folders(groups_of([str(tmp_path)])) == {"ppo/a": runs}
-    assert folders(groups_of([str(runs[0])])) == {"ppo/a": runs[:1]}
+    assert folders(compare.groups_of([f"ours={tmp_path / 'ppo'}"])) == {"ours": runs}
+    assert folders(compare.groups_of([str(tmp_path)])) == {"ppo/a": runs}
+    assert folders(compare.groups_of([str(runs[0])])) == {"ppo/a": runs[:1]}
 
 
 def test_logs_of_others_in_a_folder_are_runs_of_their_own(tmp_path: Path) -> None:
     one, two = logged(tmp_path / "PPO_1", [0.0]), logged(tmp_path / "PPO_2", [0.0])
-    assert folders(groups_of([f"x={tmp_path}"])) == {"x": [one / "tensorboard_1", two / "tensorboard_1"]}
-    assert folders(groups_of([f"x={one}"])) == {"x": [one]}, "with one log it is a run itself"
+    assert folders(compare.groups_of([f"x={tmp_path}"])) == {"x": [one / "tensorboard_1", two / "tensorboard_1"]}
+    assert folders(compare.groups_of([f"x={one}"])) == {"x": [one]}, "with one log it is a run itself"
 
 
 @pytest.mark.parametrize("text", ["0.9", "success", "speed=1", "success=nan", "success=2", "success=0"])
 def test_a_goal_that_says_nothing_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="--reach"):
-        Goal.parsed(text)
-    assert Goal.parsed("success=1") == Goal("success", 1.0)
-    assert Goal.parsed("return=2") == Goal("return", 2.0)
+        compare.Goal.parsed(text)
+    assert compare.Goal.parsed("success=1") == compare.Goal("success", 1.0)
+    assert compare.Goal.parsed("return=2") == compare.Goal("return", 2.0)
 
 
 def test_a_goal_must_be_kept_for_two_entries() -> None:
-    def curve(*values: float) -> Curve:
-        return Curve(np.arange(1.0 * len(values)), np.array(values, dtype=np.float32).astype(np.float64))
+    def curve(*values: float) -> compare.Curve:
+        return compare.Curve(np.arange(1.0 * len(values)), np.array(values, dtype=np.float32).astype(np.float64))
 
-    assert Goal("success", 0.9).reached(curve(0.0, 1.0, 0.5, 0.9, 0.95)) == 3
-    assert Goal("success", 0.9).reached(curve(0.0, 0.5, 0.9)) is None
-    assert Goal("length", 40).reached(curve(90, 40, 39, 50)) == 1
+    assert compare.Goal("success", 0.9).reached(curve(0.0, 1.0, 0.5, 0.9, 0.95)) == 3
+    assert compare.Goal("success", 0.9).reached(curve(0.0, 0.5, 0.9)) is None
+    assert compare.Goal("length", 40).reached(curve(90, 40, 39, 50)) == 1
 
 
 def test_numbers_by_hand(tmp_path: Path) -> None:
-    quick = [read_run(logged(tmp_path / f"q_{i}", [0.0, 0.9, 0.9, 1.0])) for i in range(3)]
-    slow = [read_run(logged(tmp_path / f"s_{i}", [0.0, 0.0, 0.0, 1.0])) for i in range(2)]
-    slow.append(read_run(logged(tmp_path / "short", [0.0, 0.5, 0.5])))
-    numbers = compared({"quick": quick, "slow": slow}, Goal("success", 0.9), "rollout")
+    quick = [run_of(tmp_path / f"q_{i}", [0.0, 0.9, 0.9, 1.0]) for i in range(3)]
+    slow = [run_of(tmp_path / f"s_{i}", [0.0, 0.0, 0.0, 1.0]) for i in range(2)]
+    slow.append(run_of(tmp_path / "short", [0.0, 0.5, 0.5]))
+    numbers = compare.compared({"quick": quick, "slow": slow}, compare.Goal("success", 0.9), "rollout")
     steps, never, sooner = "primitive steps to success rate ≥ 0.9", "runs that never get there", "Pr(sooner than quick)"
     assert numbers["quick"][steps] == (2000, 2000, 2000)
     assert numbers["slow"][steps] == (3000, 3000, 3000), "the shortest run is the budget of all"
@@ -161,28 +155,29 @@ def test_numbers_by_hand(tmp_path: Path) -> None:
     assert (numbers["quick"][sooner], numbers["slow"][sooner]) == ("", (0.0, 0.0, 0.0))
     assert numbers["quick"]["success rate, at the end"] == pytest.approx((0.9, 0.9, 0.9))
     assert numbers["slow"]["return, at the end"][0] == pytest.approx(np.mean([0.0, 0.0, 1.0]), abs=1e-6)  # type: ignore[index]
-    text = shown(table_of(numbers))
+    text = shown(compare.table_of(numbers))
     assert "2,000 (2,000 to 2,000)" in text
     assert sooner in text
 
 
 def test_one_run_says_nothing_of_others(tmp_path: Path) -> None:
-    groups = {n: [read_run(logged(tmp_path / n, s))] for n, s in {"a": [0.0, 0.9, 0.9], "b": [0.9, 0.9, 0.9]}.items()}
-    assert compared(groups, Goal("success", 0.9), "rollout")["b"]["Pr(sooner than a)"] == (1.0, 0.0, 1.0)
+    groups = {n: [run_of(tmp_path / n, s)] for n, s in {"a": [0.0, 0.9, 0.9], "b": [0.9, 0.9, 0.9]}.items()}
+    numbers = compare.compared(groups, compare.Goal("success", 0.9), "rollout")
+    assert numbers["b"]["Pr(sooner than a)"] == (1.0, 0.0, 1.0)
 
 
 def test_evaluations_count_where_all_have_them(tmp_path: Path) -> None:
-    evaluated = read_run(logged(tmp_path / "a", [1.0, 1.0], source="eval"))
-    trained = read_run(logged(tmp_path / "b", [1.0, 1.0]))
-    assert source_of([evaluated]) == "eval"
-    assert source_of([trained, evaluated]) == "rollout"
+    evaluated = run_of(tmp_path / "a", [1.0, 1.0], source="eval")
+    trained = run_of(tmp_path / "b", [1.0, 1.0])
+    assert compare.source_of([evaluated]) == "eval"
+    assert compare.source_of([trained, evaluated]) == "rollout"
     with pytest.raises(ValueError, match="did not log rollout/success_rate: leave it out"):
-        show_comparison(CompareConfig((str(evaluated.folder), str(trained.folder))), Console())
+        compare.show_comparison(CompareConfig((str(evaluated.folder), str(trained.folder))), Console())
 
 
 def test_a_picture_has_a_row_for_each_measure(tmp_path: Path) -> None:
-    groups = {n: [read_run(logged(tmp_path / f"{n}_{i}", [0.0, 0.5, 1.0])) for i in range(2)] for n in ("a", "b")}
-    figure = figure_of(groups, "rollout")
+    groups = {n: [run_of(tmp_path / f"{n}_{i}", [0.0, 0.5, 1.0]) for i in range(2)] for n in ("a", "b")}
+    figure = compare.figure_of(groups, "rollout")
     assert [axes.get_ylabel() for axes in figure.axes] == ["success rate", "return"]
     assert [len(axes.lines) for axes in figure.axes] == [2, 2]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a (2)", "b (2)"]
@@ -191,8 +186,8 @@ def test_a_picture_has_a_row_for_each_measure(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "n"), [("a", 7), ("bonus rnd, discovery.decay 0.9", 3), ("x" * 60, 2)])
 def test_the_names_of_all_groups_are_within_the_picture(name: str, n: int, tmp_path: Path) -> None:
-    run = read_run(logged(tmp_path / "run", [0.0, 0.5, 1.0]))
-    figure = figure_of({f"{name}{number}": [run] for number in range(n)}, "rollout")
+    run = run_of(tmp_path / "run", [0.0, 0.5, 1.0])
+    figure = compare.figure_of({f"{name}{number}": [run] for number in range(n)}, "rollout")
     figure.savefig(tmp_path / "compare.png")
     names = figure.legends[0].get_window_extent()
     assert figure.bbox.x0 <= names.x0 < names.x1 <= figure.bbox.x1
