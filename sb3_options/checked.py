@@ -11,10 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, TypeVar, dataclass_transform
 
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, ValidationError
+from pydantic import Field as Field
 from pydantic.dataclasses import dataclass
-
-__all__ = ["Field", "flat", "given_as", "is_number", "readable", "settings", "whole"]
 
 from sb3_options.state import storable
 

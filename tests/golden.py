@@ -3,7 +3,6 @@
     python -m tests.golden check                 every training against tests/golden.json
     python -m tests.golden check dqn-options     one of them
     python -m tests.golden write                 after a change of behaviour that is meant
-    python -m tests.golden list                  their names
 
 A row of `check` says which of a training's weights, options and episode log differ. It exits with 1 if any does, and
 with 3 if this machine or its libraries are not those of the file: then the numbers cannot be compared.
@@ -253,16 +252,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tests.golden", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("do", choices=("check", "write", "list"))
+    parser.add_argument("do", choices=("check", "write"))
     parser.add_argument("names", nargs="*", help="trainings; by default all")
     arguments = parser.parse_args()
     unknown = set(arguments.names) - set(TRAININGS)
     if unknown:
         parser.error(f"unknown trainings: {', '.join(sorted(unknown))}; known: {', '.join(TRAININGS)}")
     names = arguments.names or list(TRAININGS)
-    if arguments.do == "list":
-        print("\n".join(names))
-        return SAME
     warnings.simplefilter("ignore")
     logging.getLogger("sb3_options").setLevel(logging.ERROR)
     return check(names) if arguments.do == "check" else write(names)

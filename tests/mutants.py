@@ -30,6 +30,8 @@ from mutmut.mutation.file_mutation import mutate_file_contents
 from mutmut.mutation.trampoline import set_mutant_under_test
 from mutmut.utils.format_utils import get_mutant_name, mangled_name_from_mutant_name
 
+from sb3_options.runs.intervals import share_interval
+
 FOLDERS = ("learning", "execution", "options", "discovery")
 """Folders of the library; each gives the sample as many mutants as the others."""
 
@@ -139,13 +141,6 @@ def test(names: list[str], results: Path) -> int:
     return int(pytest.main(["--rootdir=.", "-q", "-s", *arguments, *selection], plugins=[Forks(names, results)]))
 
 
-def wilson(killed: int, tried: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
-    share, square = killed / tried, Z * Z / tried
-    half = Z * math.sqrt(share * (1 - share) / tried + square / (4 * tried))
-    return (share + square / 2 - half) / (1 + square), (share + square / 2 + half) / (1 + square)
-
-
 def stratified(folders: dict[str, dict[str, Any]]) -> dict[str, float]:
     """The share of all mutants that die, each folder weighed by its mutants, with a 95 % interval (normal)."""
     total = sum(f["mutants"] for f in folders.values())
@@ -166,7 +161,7 @@ def report(names: dict[str, list[str]], found: dict[str, str], label: str) -> No
         equivalent = [name for name in alive if name in results["equivalent"]]
         survivors += sorted(set(alive) - set(equivalent))
         died, tried = counts["killed"] + counts["timed out"], len(sample) - len(equivalent)
-        low, high = wilson(died, tried)
+        share, low, high = share_interval(died, tried)
         folders[folder] = {
             "mutants": len(names[folder]),
             "drawn": len(sample),
@@ -174,7 +169,7 @@ def report(names: dict[str, list[str]], found: dict[str, str], label: str) -> No
             "timed out": counts["timed out"],
             "survived": tried - died,
             "equivalent": len(equivalent),
-            "share": round(died / tried, 3),
+            "share": round(share, 3),
             "low": round(low, 3),
             "high": round(high, 3),
         }

@@ -67,6 +67,7 @@ class TestNovelD:
 class TestE3B:
     def test_bonus_is_that_of_the_inverse_of_the_matrix(self) -> None:
         e3b = still(EllipticalBonus(6, 6))
+        matrices: dict[int, Any] = {}
         for env, places, begins in (
             (0, [0, 1, 2, 1], True),
             (1, [3, 3, 4], True),
@@ -76,16 +77,13 @@ class TestE3B:
             bonuses = e3b.bonuses(walk(places, env, begins=begins))
             first, *features = self.features(e3b, places)
             if begins:
-                self.matrices[env] = RIDGE * np.eye(64) + np.outer(first, first)
+                matrices[env] = RIDGE * np.eye(64) + np.outer(first, first)
             for bonus, feature in zip(bonuses, features, strict=True):
-                np.testing.assert_allclose(bonus, feature @ np.linalg.solve(self.matrices[env], feature), rtol=1e-6)
-                self.matrices[env] += np.outer(feature, feature)
+                np.testing.assert_allclose(bonus, feature @ np.linalg.solve(matrices[env], feature), rtol=1e-6)
+                matrices[env] += np.outer(feature, feature)
 
     def test_a_step_that_leads_nowhere_has_a_small_bonus(self) -> None:
         assert EllipticalBonus(6, 6).bonuses(walk([0, 0]))[0] < 1
-
-    def setup_method(self) -> None:
-        self.matrices: dict[int, Any] = {}
 
     @staticmethod
     def features(e3b: EllipticalBonus, places: list[int]) -> Any:

@@ -11,8 +11,9 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from sb3_options import OptionsWrapper, expand_action_space
+from sb3_options.learning.masked import n_actions_of
 from tests.learning.expanded import GAMMA, N_PRIMITIVE, small_model
-from tests.support.sb3_helpers import Corridor, env_of, n_actions_of, optioned_rooms, places, small_rooms
+from tests.support.sb3_helpers import Corridor, env_of, optioned_rooms, places, small_rooms
 
 
 class OwnReplay(ReplayBuffer):
@@ -38,23 +39,20 @@ def test_errors_leave_the_model_as_it_was() -> None:
     model = small_model()
     weights = {key: value.clone() for key, value in model.policy.state_dict().items()}
     mine = model.replay_buffer
-    smaller = {"map": "SSS.\n...G", "max_steps": 9}
-    with pytest.raises(ValueError, match="max_options must be a whole number"):
-        expand_action_space(model, -1)
-    with pytest.raises(ValueError, match="env is not wrapped in OptionsWrapper: use OptionsWrapper"):
-        expand_action_space(model, env=small_rooms())
-    with pytest.raises(ValueError, match="Action spaces do not match"):
-        expand_action_space(model, 3, env=optioned_rooms(4))
-    with pytest.raises(ValueError, match=r"OptionsWrapper discounts with gamma=0.5, DQN with gamma=0.9"):
-        expand_action_space(model, 4, env=OptionsWrapper(small_rooms(), 4, gamma=0.5))
-    with pytest.raises(ValueError, match=r"chooses among 4 actions, env has 2 primitive actions"):
-        expand_action_space(model, 4, env=OptionsWrapper(Corridor(), 4, gamma=GAMMA))
-    with pytest.raises(ValueError, match="Observation spaces do not match"):
-        expand_action_space(model, 4, env=optioned_rooms(4, **smaller))
-    with pytest.raises(ValueError, match=r"trained with n_envs=1, env has 2: .* DQN.load"):
-        expand_action_space(model, 4, env=make_vec_env(optioned_rooms, 2))
-    with pytest.raises(ValueError, match=r"feature_map belongs to OptionsWrapper: with env=... pass it"):
-        expand_action_space(model, 4, env=optioned_rooms(4), feature_map=places)
+    smaller: Any = {"map": "SSS.\n...G", "max_steps": 9}
+    wrong: dict[str, tuple[int, Any]] = {
+        "max_options must be a whole number": (-1, {}),
+        "env is not wrapped in OptionsWrapper: use OptionsWrapper": (4, {"env": small_rooms()}),
+        "Action spaces do not match": (3, {"env": optioned_rooms(4)}),
+        "discounts with gamma=0.5, DQN with gamma=0.9": (4, {"env": OptionsWrapper(small_rooms(), 4, gamma=0.5)}),
+        "among 4 actions, env has 2 primitive actions": (4, {"env": OptionsWrapper(Corridor(), 4, gamma=GAMMA)}),
+        "Observation spaces do not match": (4, {"env": optioned_rooms(4, **smaller)}),
+        "trained with n_envs=1, env has 2: .* DQN.load": (4, {"env": make_vec_env(optioned_rooms, 2)}),
+        "feature_map belongs to Opt": (4, {"env": optioned_rooms(4), "feature_map": places}),
+    }
+    for text, (max_options, kwargs) in wrong.items():
+        with pytest.raises(ValueError, match=text):
+            expand_action_space(model, max_options, **kwargs)
     with pytest.raises(TypeError, match="feature_map must be"):
         expand_action_space(model, 4, feature_map=cast("Any", 3))
     model.replay_buffer = OwnReplay(10, model.observation_space, model.action_space)

@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNorm
 from sb3_options import OptionReplayBuffer, OptionsWrapper, expand_action_space
 from sb3_options.callbacks import SubgoalDiscoveryCallback
 from sb3_options.learning import heads
+from sb3_options.learning.masked import n_actions_of
 from tests.learning import expanded
 from tests.support.sb3_helpers import (
     DOORWAY,
@@ -24,7 +25,6 @@ from tests.support.sb3_helpers import (
     env_of,
     fast_callback,
     make_optioned_rooms,
-    n_actions_of,
     optioned_rooms,
     small_rooms,
 )

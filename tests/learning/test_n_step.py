@@ -111,7 +111,7 @@ def test_returns_are_those_of_the_primitive_steps(
 @pytest.mark.parametrize("size", [3, 7, 37])
 @pytest.mark.parametrize("n_envs", [1, 4])
 def test_the_same_where_the_oldest_rows_are_overwritten(size: int, n_envs: int, rng: np.random.Generator) -> None:
-    for n_steps in range(5, 45):
+    for n_steps in range(5, 45, 3):
         venv = corridors("box", n_envs)
         buffer = buffer_for(venv, size, n_steps=3)
         returns = expected(episodes_of(venv, buffer, n_steps, rng), 3, macro_q=True)
@@ -177,17 +177,18 @@ def test_equals_the_stock_buffer_without_options(rng: np.random.Generator, monke
             np.testing.assert_allclose(getattr(mine, name)[env::3], getattr(theirs, name), atol=1e-6, err_msg=name)
 
 
-def test_a_buffer_of_one_option_alone_is_emptied_with_its_successors() -> None:
+@pytest.mark.parametrize("n", [1, 3])
+def test_a_buffer_of_one_option_alone_is_emptied_with_its_successors(n: int) -> None:
     info = {"option": {"index": 0, "duration": 2, "discount": 0.81, "termination": "subgoal"}}
-    buffer = OptionReplayBuffer(10, spaces.Box(0.0, 1.0, (1,)), spaces.Discrete(3), "cpu", macro_q=False, n_steps=3)
+    buffer = OptionReplayBuffer(10, spaces.Box(0.0, 1.0, (1,)), spaces.Discrete(3), "cpu", macro_q=False, n_steps=n)
     for place in (0.0, 0.5):
         here, there = np.full((1, 1), place), np.full((1, 1), place + 0.5)
         buffer.add(here, there, np.array([2]), np.ones(1), np.zeros(1), [info])
     buffer.forget_action(2)
     assert buffer.size() == 0
-    assert buffer._successors is not None
-    assert (buffer._successors.following == -1).all()
-    assert buffer._successors.newest(0) is None
+    if buffer._successors is not None:  # with n = 3
+        assert (buffer._successors.following == -1).all()
+        assert buffer._successors.newest(0) is None
 
 
 @pytest.mark.parametrize("n_steps", [1, 3])

@@ -257,11 +257,3 @@ def test_a_removed_option_leaves_nothing_of_its_rows(rng: np.random.Generator) -
         np.testing.assert_array_equal(column[rows], was[rows + 1])
         others = np.setdiff1d(np.arange(60), rows)
         np.testing.assert_array_equal(column[others], was[others])
-
-
-def test_a_buffer_that_named_nothing_else_is_empty() -> None:
-    buffer = OptionReplayBuffer(10, spaces.Box(0.0, 1.0, (1,)), spaces.Discrete(3), macro_q=False)
-    info = {"option": {"index": 0, "duration": 2, "discount": 0.81, "termination": "subgoal"}}
-    buffer.add(np.zeros((1, 1)), np.ones((1, 1)), np.array([2]), np.zeros(1), np.zeros(1), [info])
-    buffer.forget_action(2)
-    assert buffer.size() == 0

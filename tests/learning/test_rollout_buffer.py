@@ -249,6 +249,16 @@ def test_without_a_callback_it_says_what_to_pass() -> None:
         model.learn(16)
 
 
+def opened(env: OptionsWrapper, share: float, masks: Any = None) -> Any:
+    """What MaskablePPO, with equal primitives, makes of the probabilities when it opens the options that are there."""
+    model: Any = make(MaskablePPO, env)
+    for parameter in model.policy.action_net.parameters():
+        parameter.data.zero_()
+    OptionInstaller(model, env_of(model), None, max_option_exploration=share)
+    observation = torch.zeros((1, 2), device=model.device)
+    return model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
+
+
 @pytest.mark.parametrize(("share", "n_present"), [(0.5, 1), (0.8, 1), (0.5, 2)])
 def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_in_its_place(
     share: float, n_present: int
@@ -256,13 +266,7 @@ def test_an_option_opens_with_its_share_of_the_probability_where_masks_keep_it_i
     env = OptionsWrapper(Corridor(), 3, gamma=GAMMA)
     for _ in range(n_present):
         env.bank.add(steady_option(1))
-    model: Any = make(MaskablePPO, env)
-    for parameter in model.policy.action_net.parameters():
-        parameter.data.zero_()
-    OptionInstaller(model, env_of(model), None, max_option_exploration=share)
-    observation = torch.zeros((1, 2), device=model.device)
-    masks = np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]])
-    probabilities = model.policy.get_distribution(observation, action_masks=masks).distribution.probs[0].detach()
+    probabilities = opened(env, share, masks=np.array([[True, True, *[True] * n_present, *[False] * (3 - n_present)]]))
     last = share / (1.0 - share) / n_present  # odds of the option that came last against the primitives together
     assert float(probabilities[1 + n_present] / probabilities[:2].sum()) == pytest.approx(last, rel=1e-5)
     assert float(probabilities[0]) == pytest.approx(float(probabilities[1]))
@@ -282,12 +286,7 @@ def test_options_share_the_opening_odds_with_those_available_in_the_same_states(
     for place in starts:
         inside = Region(np.array([[place], [place + 1.0]]), np.ones(1), 0.1)
         env.bank.add(SubgoalOption(Region(np.array([[11.0]]), np.ones(1), 0.1), inside, policy))
-    model: Any = make(MaskablePPO, env)
-    for parameter in model.policy.action_net.parameters():
-        parameter.data.zero_()
-    OptionInstaller(model, env_of(model), None, max_option_exploration=0.75)
-    observation = torch.zeros((1, 2), device=model.device)
-    probabilities = model.policy.get_distribution(observation).distribution.probs[0].detach()
+    probabilities = opened(env, share=0.75)
     assert float(probabilities[2 + slot] / probabilities[:2].sum()) == pytest.approx(odds, rel=1e-5)
 
 

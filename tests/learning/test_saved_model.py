@@ -82,7 +82,7 @@ def test_sb3_loads_the_file_and_the_callback_puts_the_options_back(
     for callback in (SubgoalDiscoveryCallback(max_new_options=0), PrimitiveStepsCallback()):
         model = PPO.load(tmp_path / "model.zip", env=optioned_rooms())
         assert of_env(model) == ()
-        model.learn(1_000, callback=callback)
+        model.learn(200, callback=callback)
         assert of_env(model) == (SLOT,)
         model.save(tmp_path / "later.zip")
         assert held(tmp_path / "later.zip") == (SLOT,)

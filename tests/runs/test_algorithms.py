@@ -9,8 +9,8 @@ import pytest
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 
-from sb3_options.runs.algorithms import RESERVED, make_model
-from sb3_options.runs.config import ALGORITHMS, TrainConfig, build
+from sb3_options.runs.algorithms import RESERVED, checked_arguments, make_model
+from sb3_options.runs.config import ALGORITHMS, TrainConfig, build, configure
 from sb3_options.runs.folder import make_env
 
 
@@ -27,6 +27,7 @@ def configured(algo: str, **keywords: Any) -> TrainConfig:
 def test_every_class_is_given_arguments_that_have_no_setting(algo: str) -> None:
     model = model_of(algo, max_grad_norm=0.25) if algo != "trpo" else model_of(algo, cg_damping=0.25)
     assert 0.25 in (getattr(model, "max_grad_norm", None), getattr(model, "cg_damping", None))
+    assert checked_arguments(algo, configure(algo=algo).algo_kwargs) == configure(algo=algo).algo_kwargs
     with pytest.raises(ValueError, match="there is no setting 'no_such_thing'"):
         configured(algo, no_such_thing=1)
 

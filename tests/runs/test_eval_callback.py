@@ -12,17 +12,15 @@ from stable_baselines3 import DQN
 from sb3_options import OptionBank, cli
 from sb3_options.runs import folder as runs
 from sb3_options.runs.compare import read_run
-from sb3_options.runs.config import configure
 from sb3_options.runs.evaluation import evaluate_run
 from sb3_options.runs.training import EVAL_STEPS
 from tests.runs.conftest import Register
+from tests.support import runs as support
 from tests.support.helpers import CountingEnv
-from tests.support.runs import train
 
 
-def settings(tmp_path: Path, algo: str = "dqn", **kwargs: Any) -> Any:
-    common: dict[str, Any] = {"eval_freq": 50, "progress": False, "device": "cpu", "tensorboard_log": tmp_path}
-    return configure(algo=algo, env="Counted-v0", **(common | kwargs))
+def trained(tmp_path: Path, **kwargs: Any) -> Path:
+    return support.trained(tmp_path, **{"algo": "dqn", "env": "Counted-v0", "eval_freq": 50, **kwargs})
 
 
 @pytest.mark.parametrize(
@@ -48,7 +46,7 @@ def test_success_is_logged_by_the_rule(rule: str, told: str, rate: float | None,
 
     gym.register("Counted-v0", lambda: CountingEnv(step=step))  # type: ignore[arg-type]  # no arguments
     try:
-        folder = train(settings(tmp_path, success=rule, n_envs=1, n_timesteps=400, eval_episodes=4))
+        folder = trained(tmp_path, success=rule, n_envs=1, n_timesteps=400, eval_episodes=4)
     finally:
         gym.registry.pop("Counted-v0")
     curves = read_run(folder).curves
@@ -64,13 +62,13 @@ def test_an_evaluation_ends_where_the_policy_never_arrives(
     own: int | None, expected: int, register: Register, tmp_path: Path
 ) -> None:
     register(ends_after=np.inf, max_episode_steps=own)
-    folder = train(settings(tmp_path, n_timesteps=60, eval_episodes=2))
+    folder = trained(tmp_path, n_timesteps=60, eval_episodes=2)
     assert np.load(folder / "evaluations.npz")["ep_lengths"].tolist() == [[expected] * 2]
 
 
 def test_the_limit_is_for_evaluation_only(register: Register, tmp_path: Path) -> None:
     register(ends_after=EVAL_STEPS + 50)
-    folder = train(settings(tmp_path, n_timesteps=EVAL_STEPS + 100, eval_freq=EVAL_STEPS, eval_episodes=1))
+    folder = trained(tmp_path, n_timesteps=EVAL_STEPS + 100, eval_freq=EVAL_STEPS, eval_episodes=1)
     (episode,) = (folder / "monitor" / "0.monitor.csv").read_text().splitlines()[2:]
     assert episode.split(",")[1] == str(EVAL_STEPS + 50)
 
@@ -80,7 +78,7 @@ class TestBestModel:
         self, register: Register, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         register(ends_after=10)
-        folder = train(settings(tmp_path, n_timesteps=120))
+        folder = trained(tmp_path, n_timesteps=120)
         assert DQN.load(folder / "best_model.zip").num_timesteps == 50  # no later one was better
         OptionBank(2, 4).load(folder / "best_model.zip")
         (folder / "model.zip").unlink()
@@ -90,7 +88,7 @@ class TestBestModel:
 
     def test_is_missed_with_the_remedy(self, register: Register, tmp_path: Path) -> None:
         register(ends_after=10)
-        folder = train(settings(tmp_path, n_timesteps=20, eval_freq=0))
+        folder = trained(tmp_path, n_timesteps=20, eval_freq=0)
         assert not (folder / runs.BEST).exists()
         with pytest.raises(FileNotFoundError, match=r"best_model\.zip"):
             evaluate_run(folder, best=True)

@@ -13,7 +13,7 @@ from sb3_options.runs import folder as runs
 from sb3_options.runs.config import configure
 from sb3_options.runs.evaluation import evaluate_run
 from tests.support.helpers import CountingEnv
-from tests.support.runs import Refused, train
+from tests.support.runs import Refused, trained
 
 
 def test_a_configuration_that_would_import_a_module_is_refused(tmp_path: Path) -> None:
@@ -26,9 +26,7 @@ def test_a_configuration_that_would_import_a_module_is_refused(tmp_path: Path) -
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("runs")
-    config = configure(algo="dqn", n_timesteps=50, progress=False, device="cpu", tensorboard_log=folder)
-    return train(config)
+    return trained(tmp_path_factory.mktemp("runs"), algo="dqn", n_timesteps=50)
 
 
 def test_an_environment_with_other_spaces_is_refused(run: Path) -> None:
@@ -37,26 +35,14 @@ def test_an_environment_with_other_spaces_is_refused(run: Path) -> None:
 
 
 def test_sampled_actions_differ_from_greedy_ones(tmp_path: Path) -> None:
-    run = train(
-        configure(
-            algo="ppo",
-            env="FrozenLake-v1",  # where episodes are short
-            n_timesteps=64,
-            n_steps=64,
-            progress=False,
-            device="cpu",
-            tensorboard_log=tmp_path,
-        )
-    )
+    run = trained(tmp_path, algo="ppo", env="FrozenLake-v1", n_timesteps=64, n_steps=64)  # its episodes are short
     greedy, sampled = (evaluate_run(run, episodes=9, stochastic=stochastic) for stochastic in (False, True))
     assert greedy == evaluate_run(run, episodes=9)
     assert greedy.steps != sampled.steps
 
 
 def test_a_greedy_policy_samples_nothing(run: Path) -> None:
-    with pytest.raises(
-        ValueError, match=r"^The policy of dqn is greedy and samples no actions: leave --stochastic out"
-    ):
+    with pytest.raises(ValueError, match=r"^The policy of dqn is greedy and samples no actions: leave --stochastic"):
         evaluate_run(run, stochastic=True)
 
 
@@ -87,9 +73,7 @@ def test_of_an_environment_that_draws_nothing_no_video_is_proposed_or_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
     monkeypatch.setitem(gym.registry, "Blank-v0", EnvSpec("Blank-v0", blank))  # type: ignore[arg-type]  # no arguments
-    run = train(
-        configure(algo="dqn", env="Blank-v0", n_timesteps=50, progress=False, device="cpu", tensorboard_log=tmp_path)
-    )
+    run = trained(tmp_path, algo="dqn", env="Blank-v0", n_timesteps=50)
     (proposed,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Evaluate:")]
     words = shlex.split(proposed)
     assert "--video" not in words
@@ -107,11 +91,8 @@ def test_of_a_cloned_policy_sampled_actions_are_proposed(
     way = {0: 2, 1: 2, 2: 1, 6: 1, 10: 1, 14: 2}
     shown = tmp_path / "shown"
     save_demonstrations(shown, record_demonstrations(gym.make("FrozenLake-v1", **lake), way.__getitem__, 2))
-    config = configure(
-        env="FrozenLake-v1", env_kwargs=lake, demonstrations=shown, clone=clone, n_timesteps=64, n_steps=64, n_envs=1,
-        success="terminated", progress=False, device="cpu", tensorboard_log=tmp_path,
-    )  # fmt: skip
-    train(config)
+    short = {"n_timesteps": 64, "n_steps": 64, "n_envs": 1, "success": "terminated"}
+    trained(tmp_path, env="FrozenLake-v1", env_kwargs=lake, demonstrations=shown, clone=clone, **short)
     (proposed,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Evaluate:")]
     assert ("--stochastic" in shlex.split(proposed)) == clone
 
@@ -122,10 +103,6 @@ def blank() -> CountingEnv:
 
 
 def test_a_run_without_options_lacks_none(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    config = configure(
-        algo="maskableppo",
-        n_timesteps=64, n_steps=64, n_envs=1, max_new_options=0, progress=False, device="cpu", tensorboard_log=tmp_path,
-        env_kwargs={"max_steps": 50},
-    )  # fmt: skip
-    evaluate_run(train(config), episodes=1)
+    short = {"n_timesteps": 64, "n_steps": 64, "n_envs": 1, "env_kwargs": {"max_steps": 50}}
+    evaluate_run(trained(tmp_path, max_new_options=0, **short), episodes=1)
     assert "No slot holds an option" not in caplog.text

@@ -62,7 +62,6 @@ def test_keyword_arguments_of_the_environment(tmp_path: Path) -> None:
         (["--n-timesteps", "0"], "n_timesteps should be greater than or equal to 1, got 0"),
         (["--env-kwargs", "map"], "pairs name:value, got map"),
         (["--discovery.min-positive", "0"], "min_positive"),
-        (["--seed", "many"], "seed should be"),
         (["--max-option", "3"], "Did you mean 'max_options'"),
         (["ppo", "--learning-starts", "9"], "there is no setting 'learning_starts'"),
         (

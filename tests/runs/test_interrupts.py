@@ -18,10 +18,9 @@ from sb3_options.execution.workers import WorkerLostError
 from sb3_options.runs import config as configs
 from sb3_options.runs import folder as runs
 from sb3_options.runs import training
-from sb3_options.runs.config import configure
 from sb3_options.runs.training import SIGNALS, Interrupts
 from tests.runs.conftest import Register
-from tests.support.runs import train
+from tests.support import runs as support
 
 AT_STEP = 60  # of training
 
@@ -49,9 +48,7 @@ def command_line(tmp_path: Path, *more: str) -> list[str]:
 
 
 def trained(tmp_path: Path, **kwargs: Any) -> Path:
-    return train(
-        configure(algo="dqn", env="Counted-v0", progress=False, device="cpu", tensorboard_log=tmp_path, **kwargs)
-    )
+    return support.trained(tmp_path, algo="dqn", env="Counted-v0", **kwargs)
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -59,7 +56,10 @@ def test_a_signal_ends_training_after_its_step(
     number: int, register: Register, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     register(lambda step: send(number) if step == AT_STEP else None)
-    folder = trained(tmp_path, checkpoint_freq=0)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(command_line(tmp_path, "--checkpoint-freq", "0"))
+    assert stopped.value.code == 128 + number  # as shells say it
+    (folder,) = tmp_path.glob("dqn/*")
     said = capfd.readouterr()
     assert f"Interrupted after {AT_STEP} primitive steps" in said.out
     assert str(folder) in said.out
@@ -93,14 +93,6 @@ def test_a_rollout_that_takes_too_long_is_not_waited_for(
     said = capfd.readouterr().out
     assert 100 > DQN.load(folder / "model.zip").num_timesteps > AT_STEP
     assert "Resume: " in said
-
-
-@pytest.mark.parametrize("number", SIGNALS)
-def test_the_exit_status_is_that_of_shells(number: int, register: Register, tmp_path: Path) -> None:
-    register(lambda step: send(number) if step == AT_STEP else None)
-    with pytest.raises(SystemExit) as stopped:
-        cli.main(command_line(tmp_path))
-    assert stopped.value.code == 128 + number
 
 
 def test_code_that_takes_all_exceptions_does_not_take_it(register: Register, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import imageio_ffmpeg
@@ -82,11 +82,6 @@ def env_of(model: BaseAlgorithm) -> VecEnv:
     venv = model.get_env()
     assert venv is not None
     return venv
-
-
-def n_actions_of(model: BaseAlgorithm) -> int:
-    """Size of the augmented action space."""
-    return int(cast("spaces.Discrete", model.action_space).n)
 
 
 class PrimitiveStep(NamedTuple):
