@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from experiments.pioneer.tiles import TileCoding
 from sb3_options import MacroQ, OptionsWrapper
+from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.envs import GridWorld
 from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.macro_q import LONGEST_ROLLOUT, LinearPolicy, OneHot
@@ -282,6 +283,20 @@ def test_one_seed_is_one_training() -> None:
     one, same, other = (table_of(model) for model in models)
     assert (one == same).all()
     assert (one != other).any()
+
+
+@pytest.mark.parametrize("k", [8, 2.5, 0.5])
+def test_an_action_s_own_duration_discounts(k: float) -> None:
+    """A leg of k steps and no reward, then one of a step and a reward of 1 (docs/guide/your-environment.md)."""
+
+    def step(env: CountingEnv, _: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        duration, over = (k, False) if env.time == 1 else (1, True)
+        info = {"option": {"index": -1, "duration": duration, "discount": GAMMA**duration}}
+        return np.ones(1), float(over), over, False, info
+
+    model = MacroQ(numbered(CountingEnv(step=step), 2), gamma=GAMMA, learning_rate=0.5, epsilon=1.0, seed=0)
+    model.learn(1_000, callback=PrimitiveStepsCallback())
+    assert table_of(model).tolist() == [pytest.approx([GAMMA**k] * 2), pytest.approx([1.0] * 2)]
 
 
 @pytest.mark.parametrize("force_reset", [None, True, False])

@@ -8,40 +8,32 @@ import torch
 from gymnasium import spaces
 
 from sb3_options.experience.observations import flatten, stack
-from sb3_options.learning.novelty import (
-    NetworkNovelty,
-    RandomNetworkDistillation,
-    ReturnScale,
-    StateCounts,
-    Steps,
-    bin_widths,
-    is_table_like,
-)
+from sb3_options.learning import novelty
 
-Networks = TypeVar("Networks", bound=NetworkNovelty)
+Networks = TypeVar("Networks", bound=novelty.NetworkNovelty)
 
 
-def still(novelty: Networks) -> Networks:
+def still(networks: Networks) -> Networks:
     """Keep the networks as they are."""
-    novelty._optimizer.param_groups[0]["lr"] = 0.0
-    return novelty
+    networks._optimizer.param_groups[0]["lr"] = 0.0
+    return networks
 
 
-def visit(novelty: StateCounts | RandomNetworkDistillation, arrived: Any) -> Any:
+def visit(measure: novelty.StateCounts | novelty.RandomNetworkDistillation, arrived: Any) -> Any:
     """The bonuses of steps that arrive in these observations."""
     zeros = np.zeros(len(arrived), dtype=np.int64)
-    return novelty.bonuses(Steps(arrived, zeros, arrived, zeros, zeros == 1))
+    return measure.bonuses(novelty.Steps(arrived, zeros, arrived, zeros, zeros == 1))
 
 
 def test_one_over_the_root_of_visits() -> None:
-    counts = StateCounts(flatten)
+    counts = novelty.StateCounts(flatten)
     np.testing.assert_allclose(visit(counts, np.array([3, 1, 3])), [1.0, 1.0, 2**-0.5])
     np.testing.assert_allclose(visit(counts, np.array([3])), [3**-0.5])
     assert counts.records() == {"states": 2.0}
 
 
 def test_bins_are_around_whole_multiples() -> None:
-    counts = StateCounts(flatten, 0.5)
+    counts = novelty.StateCounts(flatten, 0.5)
     visit(counts, np.array([[1.0, 2.0], [1.24, 1.76], [1.26, 2.0]]))
     np.testing.assert_allclose(visit(counts, np.array([[1.1, 2.1], [1.5, 2.0], [2.0, 2.0]])), [3**-0.5, 2**-0.5, 1.0])
     assert len(counts.visits) == 3
@@ -60,18 +52,18 @@ def test_bins_are_around_whole_multiples() -> None:
     ],
 )
 def test_what_can_be_counted_as_it_is(space: Any, table_like: bool) -> None:
-    assert is_table_like(space) is table_like
+    assert novelty.is_table_like(space) is table_like
     if table_like:
         space.seed(0)
         one, other = space.sample(), space.sample()
-        keys = StateCounts(flatten).keys(stack([one, other, one]))
+        keys = novelty.StateCounts(flatten).keys(stack([one, other, one]))
         assert keys[0] == keys[2] != keys[1]
         assert max(map(len, keys)) <= 64
 
 
 def test_the_error_falls_where_the_predictor_has_been() -> None:
     rng = np.random.default_rng(0)
-    rnd = RandomNetworkDistillation(8)
+    rnd = novelty.RandomNetworkDistillation(8)
     known, new = np.eye(8)[rng.integers(4, size=(400, 16))], np.eye(8)[4:]
     first = visit(rnd, known[0])
     for batch in known[1:]:
@@ -83,7 +75,7 @@ def test_the_error_falls_where_the_predictor_has_been() -> None:
 
 
 def test_the_error_is_of_normalised_and_clipped_features() -> None:
-    rnd = still(RandomNetworkDistillation(2))
+    rnd = still(novelty.RandomNetworkDistillation(2))
     seen = np.random.default_rng(0).normal([100.0, -3.0], [10.0, 0.1], size=(50, 2))
     row = np.array([[110.0, 7.0]])
     every = np.concatenate([seen, row])
@@ -98,7 +90,7 @@ def test_networks_come_from_their_seed_and_draw_nothing_else() -> None:
     torch.manual_seed(7)
     expected = torch.rand(3)
     torch.manual_seed(7)
-    one, same, other = (RandomNetworkDistillation(3, seed=seed) for seed in (1, 1, 2))
+    one, same, other = (novelty.RandomNetworkDistillation(3, seed=seed) for seed in (1, 1, 2))
     assert torch.equal(torch.rand(3), expected)
     rows = np.random.default_rng(0).normal(size=(4, 3))
     expected_errors = visit(one, rows)
@@ -109,7 +101,7 @@ def test_networks_come_from_their_seed_and_draw_nothing_else() -> None:
 def test_the_return_goes_on_across_episodes_and_is_of_primitive_steps() -> None:
     rng = np.random.default_rng(0)
     runs = [[rng.random(int(rng.integers(1, 5))) for _ in range(2)] for _ in range(40)]
-    scale = ReturnScale(0.9, 2)
+    scale = novelty.ReturnScale(0.9, 2)
     for step in runs:
         scale.update(step)
     returns = []
@@ -121,9 +113,9 @@ def test_the_return_goes_on_across_episodes_and_is_of_primitive_steps() -> None:
 
 def test_bins_of_a_flat_observation_are_parts_of_its_range() -> None:
     box = spaces.Box(np.array([-1.2, -0.07, -np.inf, -3.4e38]), np.array([0.6, 0.07, np.inf, 3.4e38]), dtype=np.float64)
-    np.testing.assert_allclose(bin_widths(box), [0.09, 0.007, 1.0, 1.0])
+    np.testing.assert_allclose(novelty.bin_widths(box), [0.09, 0.007, 1.0, 1.0])
 
 
 def test_features_that_cannot_be_counted_are_refused() -> None:
     with pytest.raises(ValueError, match="The feature map of the bonus gave NaN or infinite features"):
-        visit(StateCounts(lambda x: np.full((len(x), 1), np.nan)), np.zeros((2, 3)))
+        visit(novelty.StateCounts(lambda x: np.full((len(x), 1), np.nan)), np.zeros((2, 3)))

@@ -120,10 +120,11 @@ def test_holds_what_the_primitive_steps_were(kind: str, n_envs: int, macro_q: bo
     assert_holds(all_samples(buffer), rows)
 
 
-@pytest.mark.parametrize("n_envs", [1, 4])
-def test_wraps_around_in_the_middle_of_an_option(n_envs: int, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize(("n_envs", "limit"), [(1, 37), (4, 37), (1, 3)])
+def test_wraps_around_in_the_middle_of_an_option(n_envs: int, limit: int, rng: np.random.Generator) -> None:
+    """Of a run longer than the buffer the last rows stay."""
     venv = corridors("box", n_envs)
-    buffer = buffer_for(venv, 37)
+    buffer = buffer_for(venv, limit)
     buffer.track_availability(2)
     rows: list[Row] = []
     crossed = 0
@@ -132,22 +133,15 @@ def test_wraps_around_in_the_middle_of_an_option(n_envs: int, rng: np.random.Gen
         written = fill(venv, buffer, 3, rng)
         rows += [row for step in written for row in step]
         crossed += buffer.pos < before
-        size = min(len(rows), 37)
-        assert (buffer.size(), buffer.pos, buffer.full) == (size, len(rows) % 37, len(rows) >= 37)
+        size = min(len(rows), limit)
+        assert (buffer.size(), buffer.pos, buffer.full) == (size, len(rows) % limit, len(rows) >= limit)
         newest = range(len(rows) - size, len(rows))
-        in_order = [row for _, row in sorted((i % 37, rows[i]) for i in newest)]
+        in_order = [row for _, row in sorted((i % limit, rows[i]) for i in newest)]
         samples = all_samples(buffer)
         assert_holds(samples, in_order)
         assert samples.next_available is not None
         assert samples.next_available.tolist() == [[INSIDE[r.next_state], False] for r in in_order]
     assert crossed > 5
-
-
-def test_a_run_longer_than_the_buffer_leaves_its_last_rows(rng: np.random.Generator) -> None:
-    venv = corridors("box")
-    buffer = buffer_for(venv, 3)
-    rows = [row for step in fill(venv, buffer, 100, rng) for row in step]
-    assert_holds(all_samples(buffer), [r for _, r in sorted((i % 3, rows[i]) for i in range(len(rows) - 3, len(rows)))])
 
 
 @pytest.mark.parametrize("handle", [True, False])

@@ -119,7 +119,6 @@ def test_an_environment_brings_its_own_defaults() -> None:
     [
         ({"seed": "many"}, "seed should be a valid integer.*, got 'many'"),
         ({"discovery": 3}, "discovery should be"),
-        ({"env_kwargs": 3}, "env_kwargs should be a valid dictionary, got 3"),
         ({"discovery": 5, "discovery.decay": 0.5}, "discovery should be .*got 5"),
     ],
 )

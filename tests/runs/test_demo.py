@@ -23,8 +23,9 @@ def small(max_steps: int, n_timesteps: int) -> dict[str, Any]:
 
 
 def test_a_demonstration_leaves_table_picture_film_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    claim = demo.CLAIMS["rooms"]._replace(source=small(100, 6_000), target=small(40, 3_000), cells=(9, 5))
+    claim = demo.CLAIMS["rooms"]._replace(source=small(100, 6_000), target=small(40, 2_000), cells=(9, 5))
     monkeypatch.setitem(demo.CLAIMS, "rooms", claim._replace(evaluate_every=1_000))
+    monkeypatch.setattr(demo, "EVALUATION_EPISODES", 4)
     printed = io.StringIO()
     config = DemoConfig(out=tmp_path / "demo", seeds=1, seed=3, video=True, progress=False)
     demo.show_demo(config, Console(file=printed, width=120))

@@ -16,14 +16,6 @@ from tests.support.helpers import CountingEnv
 from tests.support.runs import Refused, trained
 
 
-def test_a_configuration_that_would_import_a_module_is_refused(tmp_path: Path) -> None:
-    for name in (runs.MODEL, runs.OPTIONS):
-        (tmp_path / name).touch()
-    (tmp_path / runs.CONFIG).write_text("env: evil_module:Foo-v0\n")
-    with pytest.raises(ValueError, match=r"names the environment 'evil_module:Foo-v0', which would import a module"):
-        evaluate_run(tmp_path)
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return trained(tmp_path_factory.mktemp("runs"), algo="dqn", n_timesteps=50)

@@ -98,7 +98,7 @@ def test_older_checkpoints_make_room_for_the_model(
     assert all(read(file)["steps"] == int(file.stem) for file in checkpoints)
 
 
-@pytest.mark.parametrize("size", range(0, 5_000, 100))
+@pytest.mark.parametrize("size", [0, 1, 1_250, 2_499, 2_500, 5_000])
 def test_every_size(size: int, limit: Any, tmp_path: Path) -> None:
     """Whatever fits, a file is the old one or the new one, and the error names it."""
     path, new = tmp_path / "file", bytes(2_500)
