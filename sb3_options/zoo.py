@@ -17,10 +17,8 @@ import gymnasium as gym
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 
-FILES = Path(__file__).with_name("rl_zoo3")
-"""Folder of the YAML files for rl-zoo3, one per algorithm: ``python -m sb3_options.zoo`` prints it."""
-
-PLAYERS = ("enjoy", "record_video", "push_to_hub")  # the programs of rl-zoo3 that load a run
+FILES = Path(__file__).with_name("rl_zoo3")  # of YAML files, one per algorithm: ``python -m sb3_options.zoo`` prints it
+PLAYERS = ("enjoy", "record_video", "push_to_hub")  #: The programs of rl-zoo3 that load a run.
 
 
 class ZooOptionsWrapper(OptionsWrapper):

@@ -129,9 +129,8 @@ def read(file: Path) -> State:
     return state
 
 
-def _cut(array: npt.NDArray[Any], folder: Path, known: KnownBlocks) -> State:
+def _cut(rows: npt.NDArray[Any], folder: Path, known: KnownBlocks) -> State:
     """Write the missing blocks of an array, and return shape, dtype and names of all blocks."""
-    rows = array if array.ndim else array[None]
     n = max(1, BLOCK_BYTES * len(rows) // rows.nbytes)
     names = []
     unchanged = known.unchanged(rows, n)
@@ -146,7 +145,7 @@ def _cut(array: npt.NDArray[Any], folder: Path, known: KnownBlocks) -> State:
             with atomic_write(folder / f"{name}{SUFFIX}") as temporary:
                 temporary.write_bytes(to_safetensors({"rows": block}))
     known.keep(rows, n, names)
-    return {"shape": list(array.shape), "dtype": array.dtype.str, "names": names}
+    return {"shape": list(rows.shape), "dtype": rows.dtype.str, "names": names}
 
 
 def _check_sizes(large: dict[str, State], folder: Path) -> None:
@@ -167,8 +166,7 @@ def _check_sizes(large: dict[str, State], folder: Path) -> None:
 
 
 def _joined(about: State, folder: Path) -> npt.NDArray[Any]:
-    array = np.empty(about["shape"], about["dtype"])
-    rows = array if array.ndim else array[None]
+    rows = np.empty(about["shape"], about["dtype"])
     start = 0
     for name in about["names"]:
         block = from_safetensors((folder / f"{name}{SUFFIX}").read_bytes())["rows"]
@@ -178,7 +176,7 @@ def _joined(about: State, folder: Path) -> npt.NDArray[Any]:
         start += len(block)
     if start != len(rows):
         raise ValueError(f"its blocks have {start} rows, expected {len(rows)}")
-    return array
+    return rows
 
 
 def _block_names(file: Path) -> list[str]:

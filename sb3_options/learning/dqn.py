@@ -22,8 +22,7 @@ from sb3_options.learning.masked import MaskedPrediction, n_actions_of, stored_a
 from sb3_options.learning.replay_buffer import OptionReplayBuffer, OptionReplayBufferSamples
 from sb3_options.learning.saved_model import put_back
 
-FASTER_WITH_OPTIONS = 4
-"""From the first available option on, ε falls this many times as fast: measured in docs/studies/deep.md."""
+FASTER_WITH_OPTIONS = 4  #: From the first available option on ε falls so many times as fast (docs/studies/deep.md).
 
 
 class OptionDQN(MaskedPrediction, DQN):

@@ -24,11 +24,8 @@ from sb3_options.learning.replay_buffer import OptionReplayBuffer
 
 logger = logging.getLogger("sb3_options")
 
-STOCK_BUFFERS = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)
-"""Replay buffers of SB3 that an `OptionReplayBuffer` may replace while they are empty."""
-
-KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})
-"""Arguments of a stock replay buffer that `OptionReplayBuffer` takes too."""
+STOCK_BUFFERS = (ReplayBuffer, DictReplayBuffer, NStepReplayBuffer)  # an `OptionReplayBuffer` may replace empty ones
+KEPT_KWARGS = frozenset({"handle_timeout_termination", "n_steps", "gamma"})  # `OptionReplayBuffer` takes them, too
 
 
 class Family:

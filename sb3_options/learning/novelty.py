@@ -25,7 +25,7 @@ NoveltyKind: TypeAlias = Literal["counts", "rnd", "noveld", "e3b"]
 
 CLIP = 5.0  # normalised observations are clipped to ± this (Burda et al. 2018, §2.4)
 SMALLEST = 1e-8  # added to variances before dividing by their root
-BINS = 20.0  # number of bins from the lowest to the highest value of a bounded number in a flat observation
+BINS = 20.0  #: Number of bins from the lowest to the highest value of a bounded number in a flat observation
 LARGEST_SPAN = 1e6  # a wider range than this (the largest float, say) is no bound
 N_FEATURES = 64  # numbers that the random network makes of an observation
 HIDDEN = 128  # units of a hidden layer; the predictor has one more such layer

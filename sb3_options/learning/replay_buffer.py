@@ -226,19 +226,19 @@ class OptionReplayBuffer(ReplayBuffer):
 
     def as_stored(self, observations: Observations) -> Rows:
         """Return observations from below the VecEnv in the algorithm's shape: SB3 puts image channels first."""
-        return {key: self._as_stored(key, rows) for key, rows in self._split(observations).items()}
-
-    def _as_stored(self, key: str, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        shape = self._shapes[key]
-        rows = rows.reshape(len(rows), *shape) if rows[0].size == 1 else rows
-        if rows.shape[1:] != shape and rows.ndim == 4 and is_image_space(self._spaces[key]):
-            rows = rows.transpose(0, 3, 1, 2)
-        if rows.shape[1:] != shape:
-            raise ValueError(
-                f"The steps inside an option have observations of shape {rows.shape[1:]}, the algorithm sees {shape}: "
-                "a VecEnv wrapper changes them. Pass replay_buffer_kwargs={'macro_q': False}."
-            )
-        return rows
+        stored = self._split(observations)
+        for key, rows in stored.items():
+            shape = self._shapes[key]
+            rows = rows.reshape(len(rows), *shape) if rows[0].size == 1 else rows
+            if rows.shape[1:] != shape and rows.ndim == 4 and is_image_space(self._spaces[key]):
+                rows = rows.transpose(0, 3, 1, 2)
+            if rows.shape[1:] != shape:
+                raise ValueError(
+                    f"The steps inside an option have observations of shape {rows.shape[1:]}, the algorithm sees "
+                    f"{shape}: a VecEnv wrapper changes them. Pass replay_buffer_kwargs={{'macro_q': False}}."
+                )
+            stored[key] = rows
+        return stored
 
     def _write(
         self,

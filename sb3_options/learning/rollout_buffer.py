@@ -138,12 +138,9 @@ class SMDPAdvantages(RolloutBuffer):
     def expect(
         self, rewards: npt.NDArray[Any], runs: Sequence[OptionRun], normalizer: VecNormalize | None = None
     ) -> None:
-        """Announce the step of the next call of `add`.
+        """Announce the step of the next call of `add`, with the run of each environment.
 
-        Args:
-            rewards: Σ γⁱ rᵢ from the VecEnv, before SB3 adds a bootstrap, (n_envs,).
-            runs: The run of each environment.
-            normalizer: Normaliser of rewards, if there is one (`normalized_rewards`).
+        ``rewards`` are Σ γⁱ rᵢ from the VecEnv, before SB3 adds a bootstrap, (n_envs,). ``normalizer`` normalises them.
         """
         self._expected = np.array(rewards, dtype=np.float64), runs, normalizer
 

@@ -45,8 +45,8 @@ again and again."""
 
 OFF_POLICY = ("dqn", "qrdqn", "optiondqn")
 
+# For action values that were fitted to demonstrations: random actions would leave the demonstrated way.
 FITTED = {"exploration_initial_eps": 0.05, "learning_starts": 0}
-"""Settings for action values that were fitted to demonstrations: random actions would leave the demonstrated way."""
 
 REFINED = ("maskableppo", "ppo")  # take smaller updates from `MANY` demonstrations on: measured, or similar to these
 

@@ -150,8 +150,9 @@ def make_env(
         options /= OPTIONS
 
     def with_options(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        if vec_env != "dummy":
-            ignore_interrupts()
+        if vec_env != "dummy":  # a worker survives signals of its terminal, so its parent can save and then end it
+            for number in (signal.SIGINT, signal.SIGHUP):
+                signal.signal(number, signal.SIG_IGN)
         return OptionsWrapper(
             env if beneath is None else beneath(env),
             config.max_options,
@@ -173,12 +174,6 @@ def make_env(
         monitor_kwargs={"override_existing": False},  # a resumed run or a restarted Ray actor appends
         vec_env_cls=classes[vec_env],  # type: ignore[arg-type]  # it makes one, too
     )
-
-
-def ignore_interrupts() -> None:
-    """Let a worker process survive signals of its terminal, so that its parent can save and then end it."""
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
 
 
 def _begin_monitors(folder: Path, n_envs: int, env_id: str) -> None:

@@ -48,17 +48,10 @@ def option_rows(file: option_file.OptionsFile, found: Mapping[int, int] | None =
         policy = option.option_policy
         kind = f"table of {len(policy.states):,} states" if isinstance(policy, TabularPolicy) else "network"
         points = option.subgoal.points
-        rows.append(
-            [
-                str(slot),
-                option.name,
-                described(points[0], features, option.subgoal.group) if len(points) else "none",
-                when,
-                f"{len(option.initiation_set.points):,}",
-                f"{kind} on the {'observation' if option.policy_input == 'observation' else 'features'}",
-                f"{option.max_duration:,} steps",
-            ]
-        )
+        subgoal = described(points[0], features, option.subgoal.group) if len(points) else "none"
+        states = f"{len(option.initiation_set.points):,}"
+        longest = f"{option.max_duration:,} steps"
+        rows.append([str(slot), option.name, subgoal, when, states, f"{kind} on the {option.policy_input}", longest])
     return rows
 
 

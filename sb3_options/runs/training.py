@@ -34,7 +34,6 @@ from sb3_options.runs import yaml_file
 from sb3_options.runs.algorithms import class_of, make_model
 from sb3_options.runs.commands import EVAL_SEED, ResumeConfig
 from sb3_options.runs.config import HOW_IT_RAN, TrainConfig
-from sb3_options.runs.folder import held
 from sb3_options.runs.report import Trained, closing_report, how_to_resume
 from sb3_options.runs.video import mode_among
 
@@ -145,7 +144,7 @@ def train(config: TrainConfig, console: Console | None = None, *, resumed: Path 
         folder = resumed or runs.new_run_folder(config)
         discovery.save_path = folder / runs.OPTIONS
         discovery.hparams = {n: v for n, v in configs.as_values(config).items() if n not in (*HOW_IT_RAN, "options")}
-        with nullcontext() if resumed else held(folder):  # `resume` holds it already
+        with nullcontext() if resumed else runs.held(folder):  # `resume` holds it already
             finished = _learn(config, discovery, folder, interrupts, console, resume=resumed is not None)
             if not folder.exists():
                 raise KeyboardInterrupt("before the first step: there is nothing to keep.")
@@ -175,7 +174,7 @@ def discovery_callback(config: TrainConfig, *, verbose: int = 0) -> SubgoalDisco
 def resume(resumed: ResumeConfig, console: Console) -> Trained | None:
     """Resume a run. A finished run stays unchanged."""
     run = resumed.run
-    with held(run):
+    with runs.held(run):
         _refuse_links(run)
         config = configs.load(run / runs.CONFIG, resumed.trusted())
         total = max(resumed.n_timesteps or 0, config.n_timesteps)

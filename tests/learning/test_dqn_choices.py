@@ -190,7 +190,7 @@ def test_updates_and_epsilon_keep_their_pace_by_primitive_steps(k: int) -> None:
     pace = Pace()
     model = OptionDQN(
         "MlpPolicy", env, gamma=0.9, learning_starts=0, train_freq=1, gradient_steps=1, target_update_interval=100,
-        buffer_size=5000, exploration_fraction=0.4, exploration_final_eps=0.1, policy_kwargs={"net_arch": []}, seed=0,
+        buffer_size=5000, exploration_fraction=0.8, exploration_final_eps=0.1, policy_kwargs={"net_arch": []}, seed=0,
     )  # fmt: skip
     model.learn(1000, callback=[PrimitiveStepsCallback(), pace])
     decisions = len(pace.rates)
@@ -198,7 +198,7 @@ def test_updates_and_epsilon_keep_their_pace_by_primitive_steps(k: int) -> None:
     assert abs(model._n_updates - model.num_timesteps) <= k  # the first decision is not trained on
     assert abs(len(pace.targets) - model.num_timesteps // 100) <= 1
     ends = next(at for at, rate in pace.rates if rate == pytest.approx(0.1))
-    assert ends == pytest.approx(400 if k == 1 else 400 / FASTER_WITH_OPTIONS, abs=k + 1)
+    assert ends == pytest.approx(800 if k == 1 else 800 / FASTER_WITH_OPTIONS, abs=k + 1)
 
 
 @pytest.mark.parametrize("k", [1, 3])
