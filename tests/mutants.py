@@ -30,8 +30,6 @@ from mutmut.mutation.file_mutation import mutate_file_contents
 from mutmut.mutation.trampoline import set_mutant_under_test
 from mutmut.utils.format_utils import get_mutant_name, mangled_name_from_mutant_name
 
-from sb3_options.runs.intervals import share_interval
-
 FOLDERS = ("learning", "execution", "options", "discovery")
 """Folders of the library; each gives the sample as many mutants as the others."""
 
@@ -64,12 +62,7 @@ def draw(names: dict[str, list[str]], seed: int, each: int) -> dict[str, list[st
 
 
 class Forks:
-    """A plugin of pytest that collects the tests once and then tests every mutant in a process of its own.
-
-    Args:
-        names: Of the mutants.
-        results: What became of each is added here.
-    """
+    """A plugin of pytest that collects the tests once and then tests every mutant in a process of its own."""
 
     def __init__(self, names: list[str], results: Path) -> None:
         self.names, self.results = names, results
@@ -152,6 +145,8 @@ def stratified(folders: dict[str, dict[str, Any]]) -> dict[str, float]:
 
 def report(names: dict[str, list[str]], found: dict[str, str], label: str) -> None:
     """Write what became of a sample to `RESULTS`, beside earlier ones; names there say which are equivalent."""
+    from sb3_options.runs.intervals import share_interval  # here: `test` imports the mutated copy of the library
+
     results = json.loads(RESULTS.read_text("utf-8"))
     folders, survivors = {}, []
     for folder in FOLDERS:

@@ -9,19 +9,14 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from sb3_contrib.common.maskable.distributions import (
-    MaskableCategorical,
-    MaskableCategoricalDistribution,
-    MaskableDistribution,
-    MaybeMasks,
-)
+from sb3_contrib.common.maskable import distributions as stock
 from torch.distributions import Distribution
 from torch.distributions.utils import lazy_property
 
 MASKED = -1e8  # logit of a masked action, as in sb3-contrib
 
 
-class QuickMaskableCategorical(MaskableCategorical):
+class QuickMaskableCategorical(stock.MaskableCategorical):
     """Categorical distribution over the actions that masks allow, of unnormalised logits (batch, n_actions)."""
 
     def __init__(self, logits: torch.Tensor) -> None:
@@ -33,7 +28,7 @@ class QuickMaskableCategorical(MaskableCategorical):
         self.masks = None
         Distribution.__init__(self, logits.shape[:-1], validate_args=False)
 
-    def apply_masking(self, masks: MaybeMasks) -> None:
+    def apply_masking(self, masks: stock.MaybeMasks) -> None:
         """Allow the actions of ``masks`` alone, (batch, n_actions); None allows all."""
         self.masks, self._masked_logits = None, self._original_logits
         if masks is not None:
@@ -62,7 +57,7 @@ class QuickMaskableCategorical(MaskableCategorical):
         return self.probs.multinomial(1, True).squeeze(-1)
 
 
-class QuickMaskableDistribution(MaskableCategoricalDistribution):
+class QuickMaskableDistribution(stock.MaskableCategoricalDistribution):
     """Makes a `QuickMaskableCategorical` in each forward pass of a policy."""
 
     def proba_distribution(self, action_logits: torch.Tensor) -> QuickMaskableDistribution:
@@ -71,8 +66,8 @@ class QuickMaskableDistribution(MaskableCategoricalDistribution):
         return self
 
 
-def quick(distribution: MaskableDistribution) -> MaskableDistribution:
+def quick(distribution: stock.MaskableDistribution) -> stock.MaskableDistribution:
     """Return a `QuickMaskableDistribution` in place of a stock categorical one, and another one as it is."""
-    if type(distribution) is not MaskableCategoricalDistribution:
+    if type(distribution) is not stock.MaskableCategoricalDistribution:
         return distribution
     return QuickMaskableDistribution(distribution.action_dim)

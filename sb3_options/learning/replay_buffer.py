@@ -20,26 +20,15 @@ Rows = dict[str, npt.NDArray[Any]]  # observations by key; the key is empty unle
 
 
 class OptionReplayBufferSamples(NamedTuple):
-    """`ReplayBufferSamples` with the additions for options.
+    """`ReplayBufferSamples` with the additions for options."""
 
-    Attributes:
-        observations: (batch, ...).
-        actions: Augmented actions, (batch, 1).
-        next_observations: (batch, ...).
-        dones: 1 where nothing follows; a timeout is not such an end. (batch, 1).
-        rewards: Σ γⁱ rᵢ over the k primitive steps, (batch, 1).
-        discounts: γᵏ, (batch, 1).
-        next_available: Which option slots may start in the next observation, (batch, max_options); None if the buffer
-            does not track availability.
-    """
-
-    observations: Any
-    actions: torch.Tensor
-    next_observations: Any
-    dones: torch.Tensor
-    rewards: torch.Tensor
-    discounts: torch.Tensor
-    next_available: torch.Tensor | None
+    observations: Any  #: (batch, ...)
+    actions: torch.Tensor  #: Augmented actions, (batch, 1).
+    next_observations: Any  #: (batch, ...)
+    dones: torch.Tensor  #: 1 where nothing follows; a timeout is not such an end. (batch, 1)
+    rewards: torch.Tensor  #: Σ γⁱ rᵢ over the k primitive steps, (batch, 1).
+    discounts: torch.Tensor  #: γᵏ, (batch, 1).
+    next_available: torch.Tensor | None  #: Slots that may start next, (batch, max_options); None if not tracked.
 
 
 class Growing(NamedTuple):

@@ -29,21 +29,16 @@ class TestWithoutOptions:
         assert cast("Any", model)._n_updates > 90
         return model.policy.state_dict()
 
-    @pytest.mark.parametrize("callback", [False, True])
-    @pytest.mark.parametrize("algorithm", [DQN, QRDQN])
-    def test_learns_the_same(self, algorithm: type[OffPolicyAlgorithm], callback: bool) -> None:
-        bare = self.weights(algorithm, small_rooms())
-        wrapped = self.weights(
-            algorithm,
-            optioned_rooms(0),
-            replay_buffer_class=OptionReplayBuffer,
-            callback=SubgoalDiscoveryCallback() if callback else None,
-        )
+    @pytest.mark.parametrize(
+        ("algorithm", "callback", "size"),
+        [(DQN, False, 130), (DQN, True, 5000), (QRDQN, False, 5000), (QRDQN, True, 130)],
+    )
+    def test_learns_the_same(self, algorithm: type[OffPolicyAlgorithm], callback: bool, size: int) -> None:
+        """Also where the buffer wraps around."""
+        bare = self.weights(algorithm, small_rooms(), buffer_size=size)
+        own: dict[str, Any] = {"replay_buffer_class": OptionReplayBuffer, "buffer_size": size}
+        own["callback"] = SubgoalDiscoveryCallback() if callback else None
+        wrapped = self.weights(algorithm, optioned_rooms(0), **own)
         assert bare.keys() == wrapped.keys()
         for name, value in bare.items():
             assert torch.equal(value, wrapped[name]), name
-
-    def test_a_buffer_that_wraps_around_learns_the_same_too(self) -> None:
-        bare = self.weights(DQN, small_rooms(), buffer_size=130)
-        wrapped = self.weights(DQN, optioned_rooms(0), buffer_size=130, replay_buffer_class=OptionReplayBuffer)
-        assert all(torch.equal(value, wrapped[name]) for name, value in bare.items())

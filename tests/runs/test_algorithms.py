@@ -58,7 +58,6 @@ def test_what_is_no_argument_of_the_algorithm_is_refused(name: str) -> None:
         ("learning_rate", "fast", "learning_rate.* should be"),
         ("n_steps", 1.5, "n_steps should be a valid integer"),
         ("policy_kwargs", 3, "policy_kwargs should be a valid dictionary"),
-        ("net_arch", ["a"], "net_arch"),
     ],
 )
 def test_values_are_checked_against_the_signature(name: str, value: Any, text: str) -> None:

@@ -19,13 +19,8 @@ StepFunction = Callable[["CountingEnv", int], tuple[Any, float, bool, bool, dict
 class CountingEnv(gym.Env[npt.NDArray[np.float64], int]):
     """Counts its steps: after t steps the observation is [t], and step t is rewarded with t.
 
-    So an option that starts after s steps and lasts k returns (s+1) + γ(s+2) + … + γᵏ⁻¹(s+k).
-
-    Args:
-        n_actions: Number of primitive actions; all do the same.
-        terminate_at: The step that terminates the episode; None for never.
-        truncate_at: The step that truncates it; None for never.
-        step: Replaces all of this: (env, action) → what ``step`` returns; ``env.time`` has been counted up already.
+    So an option that starts after s steps and lasts k returns (s+1) + γ(s+2) + … + γᵏ⁻¹(s+k). All actions do the same.
+    ``step`` replaces all of this: (env, action) → what ``step`` returns; ``env.time`` has been counted up already.
     """
 
     HORIZON = 1000
@@ -65,13 +60,7 @@ def numbered(env: CountingEnv, n_states: int) -> gym.Env[Any, Any]:
 
 
 class TableEnv(gym.Env[int, int]):
-    """A random finite MDP with ``Discrete`` observations: noisy successors, rewards, terminal states, a time limit.
-
-    Args:
-        rng: Draws the tables.
-        n_states: Number of states.
-        n_actions: Number of primitive actions.
-    """
+    """A random finite MDP with ``Discrete`` observations: noisy successors, rewards, terminal states, a time limit."""
 
     def __init__(self, rng: np.random.Generator, n_states: int = 8, n_actions: int = 3) -> None:
         self.action_space: Any = spaces.Discrete(n_actions)

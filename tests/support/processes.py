@@ -33,13 +33,7 @@ def python(
 ) -> subprocess.CompletedProcess[str]:
     """Run ``python ARGUMENTS`` in a new process: ``-c CODE``, ``-m MODULE …`` or ``FILE …``.
 
-    Args:
-        arguments: Of the interpreter.
-        cwd: Its working folder; by default this one.
-        env: Changes of its environment.
-
-    Returns:
-        As ``subprocess.run`` of it; the exit code of a process that a signal killed is negative.
+    ``env`` changes its environment. The result is that of ``subprocess.run``.
     """
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / name for name in ("stdout", "stderr")]

@@ -185,12 +185,7 @@ def expected_rows(
 
 
 class Corridor(gym.Env[Any, int]):
-    """A walk on a line of 12 places, left 0 and right 1, in any kind of observation; the end is at the right.
-
-    Args:
-        kind: ``box``, ``discrete``, ``dict``, ``dict_discrete`` or ``image``.
-        limit: The step that truncates an episode.
-    """
+    """A walk on a line of 12 places, left 0 and right 1, in any kind of observation; the end is at the right."""
 
     LAST = 11
 
