@@ -29,16 +29,8 @@ def smdp_advantages(
     (Schulman et al. 2016, eq. 11–16, with the discount of Bradtke & Duff 1995 for an action of k steps). The trace
     decays by λ per decision, so an option carries credit as far as a primitive action does.
 
-    Args:
-        rewards: Rₜ = Σ γⁱ rᵢ over the k primitive steps, (n_steps, n_envs), as all others.
-        values: V(sₜ).
-        next_values: V(sₜ₊₁).
-        discounts: γᵏ.
-        goes_on: 1 where the episode goes on after the step, else 0.
-        gae_lambda: λ, of each transition or one number.
-
-    Returns:
-        Aₜ, (n_steps, n_envs).
+    All arrays are (n_steps, n_envs). ``rewards`` are Σ γⁱ rᵢ over the k primitive steps, and ``discounts`` γᵏ;
+    ``goes_on`` is 1 where the episode goes on after the step, else 0; λ is one number, or one for each transition.
     """
     deltas = rewards + discounts * next_values * goes_on - values
     decay = discounts * gae_lambda * goes_on
