@@ -62,7 +62,7 @@ def hashed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 def test_whatever_was_written_is_in_the_checkpoint(folder: CheckpointFolder, rng: np.random.Generator) -> None:
     ring = Ring()
-    for step in range(75):
+    for step in range(40):
         ring.write(int(rng.choice([0, 1, 3, PER_BLOCK, 37, CAPACITY - 1, CAPACITY, 2 * CAPACITY + 5])))
         if rng.random() < 0.1:  # as where a slot was emptied
             ring.put(rng.integers(CAPACITY, size=5), -1)

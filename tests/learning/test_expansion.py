@@ -144,10 +144,7 @@ def test_errors_leave_the_model_as_it_was() -> None:
         "env is not wrapped in OptionsWrapper: use OptionsWrapper": (4, {"env": small_rooms()}),
         "Action spaces do not match": (3, {"env": optioned_rooms(4)}),
         "discounts with gamma=0.5, DQN with gamma=0.9": (4, {"env": OptionsWrapper(small_rooms(), 4, gamma=0.5)}),
-        "among 4 actions, env has 2 primitive actions": (
-            4,
-            {"env": OptionsWrapper(Corridor(), 4, gamma=expanded.GAMMA)},
-        ),
+        "4 actions, env has 2 primitive actions": (4, {"env": OptionsWrapper(Corridor(), 4, gamma=expanded.GAMMA)}),
         "Observation spaces do not match": (4, {"env": optioned_rooms(4, **smaller)}),
         "trained with n_envs=1, env has 2: .* DQN.load": (4, {"env": make_vec_env(optioned_rooms, 2)}),
         "feature_map belongs to Opt": (4, {"env": optioned_rooms(4), "feature_map": places}),
