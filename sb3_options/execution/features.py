@@ -19,11 +19,8 @@ from sb3_options.experience import observations as obs_batch
 from sb3_options.experience.observations import FeatureMap, FloatArray, IntArray, Observations
 from sb3_options.options.file import SpaceSignature
 
-MAX_FEATURES = 4096
-"""Concept spaces with more dimensions, such as images, are refused: distances in them mean nothing."""
-
-NUMBERS = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)
-"""Spaces that Stable-Baselines3 takes, alone or as parts of a ``Dict``."""
+MAX_FEATURES = 4096  # in spaces with more dimensions, such as images, distances mean nothing
+NUMBERS = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)  # SB3 takes them, also in a ``Dict``
 
 FeatureKind = Literal["given", "environment", "categorical", "identity", "temporal-distance"]
 """Where a feature map comes from: the user, the environment, one-hot codes, flat observations, or learning."""

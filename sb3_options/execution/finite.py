@@ -6,8 +6,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-LARGEST = float(np.finfo(np.float32).max)
-"""Largest number in single precision, in which networks and buffers of Stable-Baselines3 compute."""
+LARGEST = float(np.finfo(np.float32).max)  # networks and buffers of Stable-Baselines3 compute in single precision
 
 
 def check_finite(env: gym.Env[Any, Any], observation: Any, reward: Any = 0.0) -> None:

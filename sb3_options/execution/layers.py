@@ -22,8 +22,7 @@ from sb3_options.state import FOREIGN, declare, own_state, set_own_state
 
 State = dict[str, Any]
 
-MONITOR_LISTS = ("rewards", "episode_returns", "episode_lengths", "episode_times")
-"""Attributes of a ``Monitor`` that are lists of numbers."""
+MONITOR_LISTS = ("rewards", "episode_returns", "episode_lengths", "episode_times")  # its attributes that are lists
 
 declare(wrappers.TimeLimit, "_elapsed_steps")
 declare(wrappers.OrderEnforcing, "_has_reset")
@@ -32,13 +31,12 @@ declare(wrappers.NormalizeObservation, "obs_rms")
 declare(wrappers.NormalizeReward, "return_rms", "discounted_reward")
 declare(RunningMeanStd, "mean", "var", "count")
 
-REMEMBER_NOTHING = (
+REMEMBER_NOTHING = (  # wrappers, with their subclasses, that are the same in every step
     wrappers.PassiveEnvChecker,  # it checks the first step once more
     wrappers.TransformAction,
     wrappers.TransformObservation,
     wrappers.TransformReward,
 )
-"""Wrappers, with their subclasses, that are the same in every step."""
 
 
 def prepare(env: Any, *, just_reset: bool = False) -> Any:

@@ -39,11 +39,9 @@ from sb3_options.experience.trajectories import Trajectory
 
 Infos: TypeAlias = list[dict[str, Any]]
 
+# What callbacks and algorithms ask of each environment, and what they call there.
 ATTRIBUTES = ("above", "bank", "slot_state", "traits")
-"""What callbacks and algorithms ask of each environment."""
-
 METHODS = ("action_masks", "available", "concept_features", "random_trajectories", "set_slots")
-"""What they call in environments."""
 
 
 class OptionsVecEnv(WithSlots, VecEnvWrapper):
@@ -78,8 +76,7 @@ class OptionsVecEnv(WithSlots, VecEnvWrapper):
         FileNotFoundError: There is no ``options_file``.
     """
 
-    above: tuple[str, ...] = ()
-    """Wrappers above each environment that may change its steps: there can be none."""
+    above: tuple[str, ...] = ()  # wrappers above each environment that may change its steps: there can be none
 
     def __init__(
         self,

@@ -26,21 +26,16 @@ from sb3_options.extras import how_to_install
 logger = logging.getLogger("sb3_options")
 
 EnvFns: TypeAlias = Sequence[Callable[[], gym.Env[Any, Any]]]
-
+# Number of an environment in its actor, then command and data as ``SubprocVecEnv`` sends them to a worker.
 Message: TypeAlias = tuple[int, str, Any]
-"""Number of an environment in its actor, then command and data as ``SubprocVecEnv`` sends them to a worker."""
 
 MOST_LOSSES = 8  # losses of the same environments without a step between, after which they are to blame
-
-FIRST_WAIT = 0.25
-"""Seconds before a second start, doubled each time: the cluster may not yet have noticed which machine is gone."""
-
+FIRST_WAIT = 0.25  # seconds before a second start, then doubled: the cluster may not yet know which machine is gone
 LEAST_WAIT = 1.0  # seconds to fetch an answer that is ready, although another one has used up the time
 
-
+# Bytes of shared memory of a cluster that is started here. Ray's default is 30 % of the machine's memory. Messages of
+# environments and studies are small and bypass it, except for images.
 OBJECT_STORE = 200 * 2**20
-"""Bytes of shared memory of a cluster that is started here. Ray's default is 30 % of the machine's memory. Messages of
-environments and studies are small and bypass it, except for images."""
 
 
 def require_ray() -> ModuleType:
@@ -65,11 +60,9 @@ def connect(address: str | None = None) -> Any:
     ray = require_ray()
     if ray.is_initialized():
         return ray
-    address = address or os.environ.get("RAY_ADDRESS")
-    if address is None:
-        ray.init(address="local", include_dashboard=False, object_store_memory=OBJECT_STORE)
-    else:
-        ray.init(address=address)
+    address = address or os.environ.get("RAY_ADDRESS", "local")
+    new = {"include_dashboard": False, "object_store_memory": OBJECT_STORE} if address == "local" else {}
+    ray.init(address=address, **new)
     return ray
 
 
@@ -101,18 +94,27 @@ class HostedEnvironments:
             seed, options = data
             observation, self._reset_infos[i] = env.reset(seed=seed, **({"options": options} if options else {}))
             return observation, self._reset_infos[i]
+        if command == "restart":
+            return self._restarted(i, *data)
         return _HOW[command](env, data)
+
+    def _restarted(self, i: int, slots: dict[str, Any], seed: int | None, last: Any) -> Any:
+        """Fill the slots of an environment that was lost, and answer its lost step from the last observation."""
+        env = self.envs[i]
+        if slots:
+            is_wrapped(env, Outermost)  # type: ignore[arg-type]  # it asks the outermost wrapper first
+            env.get_wrapper_attr("set_slots")(**slots)
+        if last is None:  # it was lost before the first reset
+            return None
+        observation, self._reset_infos[i] = env.reset(seed=seed)
+        info = env.get_wrapper_attr("lost_step")(last) if env.has_wrapper_attr("lost_step") else {}
+        info |= {"TimeLimit.truncated": True, "terminal_observation": last, "lost": True}
+        return observation, 0.0, True, info, self._reset_infos[i]
 
     def close(self) -> None:
         """Close all environments."""
         for env in self.envs:
             env.close()
-
-
-def _lost_step(env: Any, last: Any) -> dict[str, Any]:
-    """Return the info of a step that is lost with its environment, from the last known observation."""
-    info = env.get_wrapper_attr("lost_step")(last) if env.has_wrapper_attr("lost_step") else {}
-    return info | {"TimeLimit.truncated": True, "terminal_observation": last, "lost": True}
 
 
 _HOW: dict[str, Callable[[Any, Any], Any]] = {
@@ -122,7 +124,6 @@ _HOW: dict[str, Callable[[Any, Any], Any]] = {
     "has_attr": lambda env, name: env.has_wrapper_attr(name),
     "set_attr": lambda env, data: setattr(env, *data),
     "is_wrapped": is_wrapped,
-    "lost_step": _lost_step,
     "render": lambda env, _: env.render(),
 }
 
@@ -200,10 +201,9 @@ class RayVecEnv(SubprocVecEnv):
         self.remotes: Any = [_Pipe(self, a, i) for a, group in enumerate(self._groups) for i in range(len(group))]
         self._actors = [self._start(a) for a in range(n_actors)]
         self.step_timeout: float | None = None  # making an environment may take longer than a step
-        firsts = [self.remotes[group[0]] for group in self._groups]
-        for first in firsts:
-            first.send(("get_spaces", None))
-        spaces = [first.recv() for first in firsts]
+        for remote in self.remotes:
+            remote.send(("get_spaces", None))
+        spaces = [remote.recv() for remote in self.remotes]
         self.step_timeout = step_timeout
         VecEnv.__init__(self, n_envs, *spaces[0])
 
@@ -236,18 +236,15 @@ class RayVecEnv(SubprocVecEnv):
                 self._deliver(a, outgoing.pop(a), self._anew.pop(a))
             until = None if self.step_timeout is None else time.monotonic() + self.step_timeout
             sent = {a: self._actors[a].answer.remote(messages) for a, messages in outgoing.items()}
-            lost: dict[int, Exception] = {}
             for a, reference in sent.items():
                 try:
                     answers = self._get(reference, until)
                 except self._gone as error:
-                    lost[a] = error
-                else:
-                    if outgoing[a][0][1] in ("step", "reset"):
-                        self._losses_in_a_row[a] = 0
-                    self._deliver(a, outgoing.pop(a), answers)
-            for a, why in lost.items():
-                self._start_anew(a, why)
+                    self._start_anew(a, error)
+                    continue
+                if outgoing[a][0][1] in ("step", "reset"):
+                    self._losses_in_a_row[a] = 0
+                self._deliver(a, outgoing.pop(a), answers)
 
     def _deliver(self, actor: int, messages: Sequence[Message], answers: Sequence[Any]) -> None:
         """Pass answers to the pipes that wait for them, and note what restarted environments will need."""
@@ -274,17 +271,18 @@ class RayVecEnv(SubprocVecEnv):
         return answers
 
     def _start_anew(self, actor: int, why: Exception) -> None:
-        """Restart the environments of a lost actor elsewhere, with the present content of their slots."""
-        which = f"Environments {self._groups[actor]} of {len(self._env_fns)}"
+        """Restart the environments of a lost actor elsewhere, and keep their answers to the lost step."""
+        envs = self._groups[actor]
+        which = f"Environments {envs} of {len(self._env_fns)}"
         reason = type(why).__name__
-        if self._seen[self._groups[actor][0]] is not None:
+        seen = self._seen[envs[0]] is not None
+        if seen:
             self.lost_actors += 1
             logger.warning(
-                "%s: the machine or the process is gone (%s). They start anew elsewhere; their episodes end as "
-                "truncated.",
-                which,
-                reason,
+                f"{which}: the machine or the process is gone ({reason}). They start anew elsewhere; their episodes "
+                "end as truncated."
             )
+        told = [(self._slots[env], self._later_seed(env), self._seen[env]) for env in envs]
         while self._losses_in_a_row[actor] < MOST_LOSSES:
             if self._losses_in_a_row[actor]:
                 time.sleep(FIRST_WAIT * 2.0 ** (self._losses_in_a_row[actor] - 1))
@@ -292,30 +290,16 @@ class RayVecEnv(SubprocVecEnv):
             self._kill(actor)
             self._actors[actor] = self._start(actor)
             with suppress(*self._gone):
-                self._begin(actor)
+                messages = [(i, "restart", data) for i, data in enumerate(told)]
+                answers = self._get(self._actors[actor].answer.remote(messages))
+                if seen:
+                    self._anew[actor] = answers
                 return
         raise WorkerLostError(
             f"{which}: lost {MOST_LOSSES + 1} times without a step between. {reason}",
             "If memory is short, train with fewer of them or more machines; `ray status` shows these.",
             killed=True,
         ) from why
-
-    def _begin(self, actor: int) -> None:
-        """Put options into restarted environments, reset them, and keep the answers to the lost step."""
-        envs = list(enumerate(self._groups[actor]))
-        seen = [self._seen[env] for _, env in envs]
-        set_again = [(i, "env_method", ("set_slots", (), self._slots[env])) for i, env in envs if self._slots[env]]
-        outermost = [(i, "is_wrapped", Outermost) for i, *_ in set_again]  # is asked first
-        ask = self._actors[actor].answer.remote
-        self._get(ask([*outermost, *set_again]))
-        if seen[0] is None:
-            return
-        resets = self._get(ask([(i, "reset", (self._later_seed(env), {})) for i, env in envs]))
-        infos = self._get(ask([(i, "lost_step", seen[i]) for i, _ in envs]))
-        self._anew[actor] = [
-            (observation, 0.0, True, info, reset_info)
-            for (observation, reset_info), info in zip(resets, infos, strict=True)
-        ]
 
     def _later_seed(self, env: int) -> int | None:
         """Return a seed that no environment has had, or None if none was seeded."""

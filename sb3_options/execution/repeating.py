@@ -14,11 +14,10 @@ from gymnasium.envs.registration import EnvSpec
 
 State = dict[str, Any]
 
-MAX_ACTIONS = 100_000
-"""An episode with more actions is not repeated. In MiniGrid this many take some ten seconds, and 4 MB until then."""
-
+MAX_ACTIONS = 100_000  # a longer episode is not repeated; in MiniGrid this many take some ten seconds, and 4 MB
+# Why an episode does not go on:
 UNKNOWN = "it was under way before training started"
-OTHERWISE = "it took another course the second time"  # why an episode does not go on
+OTHERWISE = "it took another course the second time"
 
 
 class RecordActions(gym.Wrapper[Any, Any, Any, Any]):

@@ -25,8 +25,7 @@ from sb3_options.options.option import Option
 
 logger = logging.getLogger("sb3_options")
 
-TERMINATION_SEED = 0x0971055
-"""Mixed into the seed of ``reset``: β draws from another stream than the environment."""
+TERMINATION_SEED = 0x0971055  # mixed into the seed of ``reset``: β draws from another stream than the environment
 
 
 class OptionsWrapper(WithSlots, gym.Wrapper[Any, int, Any, int], RecordConstructorArgs):
@@ -71,8 +70,7 @@ class OptionsWrapper(WithSlots, gym.Wrapper[Any, int, Any, int], RecordConstruct
         FileNotFoundError: There is no ``options_file``.
     """
 
-    STATE = ("_observation", "_random", "_runs", "_warned")
-    """State for a checkpoint, without the options: whoever installed them restores them."""
+    STATE = ("_observation", "_random", "_runs", "_warned")  # whoever installed the options restores them
 
     def __init__(
         self,

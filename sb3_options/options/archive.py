@@ -12,19 +12,11 @@ from sb3_options.options.sealed import errors_of
 
 NAME = "options.safetensors"  # of the file in the folder of a run
 CARRIED = "carried_options"  # attribute of a model, and entry of a ``model.zip``'s ``data``, with the content as text
-
-MAX_BYTES = 1 << 30
-"""Largest content that is unpacked from a ``model.zip``: a small file must not fill the memory."""
-
+MAX_BYTES = 1 << 30  # of content that is unpacked from a ``model.zip``: a small file must not fill the memory
 NO_OPTIONS_FILE = "is no options file, or it is damaged"
 
 Source: TypeAlias = str | os.PathLike[str] | bytes
 """Path of an options file or of a ``model.zip``, or the content of an options file."""
-
-
-def name_of(source: Source) -> str:
-    """Return the name of a source for errors."""
-    return "What the model carries" if isinstance(source, bytes) else os.fspath(source)
 
 
 def content_in(source: Source) -> bytes:

@@ -31,26 +31,17 @@ from sb3_options.options.sealed import errors_of
 FEW = 8  # most observations that are looked up one by one, where observations recur
 TRIAL = 500  # new observations before it is judged whether they recur
 HITS = 4  # they recur if they were asked for more often than this, on average
-
-ANSWERS_BYTES = 600
-"""Memory of `Answers` and their entries, besides the observation and its features; approximate."""
+ANSWERS_BYTES = 600  # memory of `Answers` and their entries, besides the observation and its features; approximate
 
 
 @dataclass(slots=True)
 class Answers:
-    """Answers of the options of a bank at one observation, each computed when it is first asked for.
+    """Answers of the options of a bank at one observation, each computed when it is first asked for."""
 
-    Attributes:
-        key: Bytes of φ.
-        features: φ, (1, d), in the memory of ``key``; None if an option is hand-made.
-        available: Which options may start, (max_options,).
-        actions: By slot: the primitive action of π.
-    """
-
-    key: bytes = b""
-    features: FloatArray | None = None
-    available: BoolArray | None = None
-    actions: dict[int, int] = field(default_factory=dict)
+    key: bytes = b""  # of φ
+    features: FloatArray | None = None  # φ, (1, d), in the memory of ``key``; None if an option is hand-made
+    available: BoolArray | None = None  # which options may start, (max_options,)
+    actions: dict[int, int] = field(default_factory=dict)  # by slot: the primitive action of π
 
 
 @dataclass(eq=False, repr=False)
@@ -343,17 +334,10 @@ class OptionBank:
     def __getstate__(self) -> dict[str, Any]:
         # Functions may not travel between processes; the receiver of the bank has its own feature map. A learned
         # map is data, and belongs to `content`.
-        learned = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
-        return {
-            **self.__dict__,
-            "feature_map": learned,
-            "_shared": None,
-            "_by_data": False,
-            "_known": KnownResults(),
-            "_answers": {},
-            "_answers_by_features": {},
-            "_answers_bytes": 0,
-        }
+        traveller = self.copy()
+        traveller.bind(None)
+        traveller.feature_map = self.feature_map if isinstance(self.feature_map, LearnedMap) else None
+        return traveller.__dict__
 
     def check_slot(self, slot: int) -> None:
         """Refuse an unknown slot."""

@@ -16,11 +16,9 @@ from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
 from sb3_options.options.tasks import Transitions, initiation_set, transitions_to
 
-MIN_REACH = 0.5
-"""Least probability, by the saved steps, of reaching the subgoal from a state of I on a group of features."""
-
-NETWORK_UPDATES = 2000
-"""Gradient steps for a network, each of a few milliseconds at most."""
+MIN_REACH = 0.5  # least probability, by the saved steps, of reaching the subgoal from a state of I on few features
+NETWORK_UPDATES = 2000  # gradient steps for a network, each of a few milliseconds at most
+FIRST_GROWTH = 5  # an adopted option counts as made from this many trajectories
 
 
 def learn_option(
@@ -91,9 +89,6 @@ def joined(option: SubgoalOption, later: SubgoalOption) -> SubgoalOption:
     union = np.unique(np.concatenate([option.initiation_set.points, later.initiation_set.points]), axis=0)
     there = replace(option.initiation_set, points=union)
     return replace(option, initiation_set=there, option_policy=TabularPolicy(states, values))
-
-
-FIRST_GROWTH = 5  # an adopted option counts as made from this many trajectories
 
 
 class OptionGrowth:

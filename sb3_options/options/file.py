@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import os
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -12,7 +13,7 @@ from sb3_options.density.groups import FeatureGroup, checked_groups
 from sb3_options.density.regions import Region
 from sb3_options.embedding.settings import LEARNED
 from sb3_options.options import policies
-from sb3_options.options.archive import NO_OPTIONS_FILE, Source, content_in, name_of
+from sb3_options.options.archive import NO_OPTIONS_FILE, Source, content_in
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import PolicyInput
 from sb3_options.options.sealed import Arrays, errors_of, sealed, unsealed
@@ -145,7 +146,7 @@ class OptionsFile(NamedTuple):
 def opened(source: Source) -> OptionsFile:
     """Read an options file."""
     content = content_in(source)
-    name = name_of(source)
+    name = "What the model carries" if isinstance(source, bytes) else os.fspath(source)
     with errors_of(name, NO_OPTIONS_FILE):
         parts, tensors = unsealed(content, FILE_FORMAT)
         about = About.model_validate(parts["bank"])

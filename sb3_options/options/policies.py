@@ -45,8 +45,7 @@ class TabularPolicy:
         elif len(new):
             # A batch from a replay buffer holds the same observation many times.
             distinct, which = np.unique(rows[new], axis=0, return_inverse=True)
-            nearest = np.array([self._nearest(row) for row in distinct])
-            known[new] = nearest[which.ravel()]
+            known[new] = np.array([self._nearest(row) for row in distinct])[which.ravel()]
         return known
 
     def rows_for(self, observations: Observations) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -85,17 +84,10 @@ class NetworkPolicy:
 
     def actions(self, observations: Observations) -> IntArray:
         """Return the greedy primitive action in each observation, shape (batch,)."""
-        return np.asarray(self._values(observations).argmax(axis=1))
-
-    def best_values(self, observations: Observations) -> FloatArray:
-        """Return the value of that action, shape (batch,)."""
-        return np.asarray(self._values(observations).max(axis=1))
-
-    def _values(self, observations: Observations) -> FloatArray:
         hidden = (flatten(observations) - self.mean) / self.std
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             hidden = np.maximum(hidden @ weight + bias, 0.0)
-        return hidden @ self.weights[-1] + self.biases[-1]
+        return np.asarray((hidden @ self.weights[-1] + self.biases[-1]).argmax(axis=1))
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
         """Return all arrays of the policy, by name."""

@@ -9,16 +9,11 @@ from sb3_options.experience.observations import BoolArray, FloatArray, flatten
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.tasks import SUBGOAL_REWARD, Transitions
 
-IMAGINED_FAILURES = 1.0
-"""Failing steps, imagined for each state and action in addition to seen steps: few seen steps promise little."""
+IMAGINED_FAILURES = 1.0  # failing steps besides the seen ones of each state and action: few of these promise little
 
 
 def reach_probabilities(
-    transitions: Transitions,
-    policy: TabularPolicy,
-    *,
-    steps: int,
-    inside: BoolArray | None = None,
+    transitions: Transitions, policy: TabularPolicy, *, steps: int, inside: BoolArray | None = None
 ) -> FloatArray:
     """Return the probability of reaching the subgoal within ``steps``, for each of ``transitions.states``, (m,).
 
@@ -41,12 +36,7 @@ def reach_probabilities(
 
 
 def reliable_part(
-    initiation: Region,
-    transitions: Transitions,
-    policy: TabularPolicy,
-    *,
-    least: float,
-    steps: int,
+    initiation: Region, transitions: Transitions, policy: TabularPolicy, *, least: float, steps: int
 ) -> Region:
     """Return the states of an initiation set that reach the subgoal often enough without leaving them.
 

@@ -17,28 +17,18 @@ STEP_REWARD, SUBGOAL_REWARD = -1.0, 0.0
 """Rewards of a step that goes on and of one that reaches the subgoal. So the value of a state is minus the number of
 steps from there, as in a shortest path (Sutton & Barto 2018, example 4.1)."""
 
-AT_ONCE = 2048
-"""States per call that checks whether a region contains them. It bounds memory by this times the region's points."""
+AT_ONCE = 2048  # states per call that checks whether a region contains them; bounds memory by this times its points
 
 
 class Transitions(NamedTuple):
-    """Primitive steps of the option's own task, each distinct observation stored once.
+    """n primitive steps of the option's own task, each distinct observation stored once."""
 
-    Attributes:
-        states: The distinct observations, or features if the policy acts on those, batch of m.
-        began: Row of ``states`` where each step began, shape (n,).
-        actions: Primitive actions, shape (n,).
-        rewards: Rewards of the option's own task, shape (n,).
-        led: Row of ``states`` where each step led, shape (n,).
-        ends: Whether the step reached the subgoal, left I or ended the episode in a terminal state, shape (n,).
-    """
-
-    states: Observations
-    began: IntArray
-    actions: IntArray
-    rewards: FloatArray
-    led: IntArray
-    ends: BoolArray
+    states: Observations  # the m distinct observations, or features if the policy acts on those
+    began: IntArray  # row of ``states`` where each step began, (n,)
+    actions: IntArray  # primitive ones, (n,)
+    rewards: FloatArray  # of the option's own task, (n,)
+    led: IntArray  # row of ``states`` where each step led, (n,)
+    ends: BoolArray  # whether it reached the subgoal, left I or ended the episode in a terminal state, (n,)
 
 
 def initiation_set(
@@ -75,10 +65,7 @@ def _with_centres(outside: FloatArray, subgoal: Region, settings: OptionLearning
 
 
 def transitions_to(
-    subgoal: Region,
-    initiation: Region,
-    trajectories: Iterable[LabelledTrajectory],
-    settings: OptionLearningSettings,
+    subgoal: Region, initiation: Region, trajectories: Iterable[LabelledTrajectory], settings: OptionLearningSettings
 ) -> Transitions | None:
     """Return every saved primitive step that begins in I and outside the subgoal, or None if there are none.
 
