@@ -132,16 +132,6 @@ def _size_of(feature_map: FeatureMap, space: gym.Space[Any], name: str) -> int |
     return checked_size(feature_map, sample, name)
 
 
-def computed(features: Features | None, observations: Observations, space: gym.Space[Any]) -> FloatArray:
-    """Return φ of a batch of observations of ``space``, shape (batch, d)."""
-    if features is None:
-        raise ValueError(
-            f"There is no default feature map for {space}: pass OptionsWrapper(env, feature_map=...) a function from a "
-            "batch of observations to features (batch, d), or 'temporal-distance', which is learned."
-        )
-    return features.map(observations)
-
-
 def checked_size(feature_map: FeatureMap, one: Observations, name: str = "feature_map") -> int:
     """Return the dimensions d of a feature map, after checking it on ``one`` observation and on two."""
     features = np.asarray(feature_map(one))

@@ -114,7 +114,13 @@ class WithSlots:
 
     def concept_features(self, observations: Observations) -> FloatArray:
         """Return φ of a batch of observations, shape (batch, d)."""
-        return feature_maps.computed(self.features, observations, self._inner_space)
+        if self.features is None:
+            raise ValueError(
+                f"There is no default feature map for {self._inner_space}: pass OptionsWrapper(env, feature_map=...) "
+                "a function from a batch of observations to features (batch, d), or 'temporal-distance', which is "
+                "learned."
+            )
+        return self.features.map(observations)
 
     def available(self, observations: Observations) -> BoolArray:
         """Return which augmented actions may start by initiation sets alone, (batch, n_primitive + max_options)."""

@@ -101,15 +101,8 @@ class OptionsWrapper(WithSlots, gym.Wrapper[Any, int, Any, int], RecordConstruct
         )
         gym.Wrapper.__init__(self, env)
         self.check_finite = check_finite
-        self.action_space: Any = self._make_slots(
-            env,
-            env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None,
-            max_options,
-            gamma,
-            feature_map,
-            options_file,
-            max_runs,
-        )
+        own_map = env.get_wrapper_attr("concept_features") if env.has_wrapper_attr("concept_features") else None
+        self.action_space: Any = self._make_slots(env, own_map, max_options, gamma, feature_map, options_file, max_runs)
         self.outermost: gym.Env[Any, Any] = self
         self._has_masks = env.has_wrapper_attr("action_masks")
         self._all_primitives = np.ones(self.n_primitive, dtype=bool)

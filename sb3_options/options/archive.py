@@ -29,13 +29,12 @@ def content_in(source: Source) -> bytes:
             file.seek(0)
             return file.read()
     with errors_of(str(path), NO_OPTIONS_FILE), zipfile.ZipFile(path) as archive:
-        data = {}
         if "data" in archive.namelist():
             if archive.getinfo("data").file_size > MAX_BYTES:
                 raise ValueError(f"data has more than {MAX_BYTES:,} bytes")
             data = json.loads(archive.read("data"))
-        if CARRIED in data:
-            return unpacked_text(data[CARRIED])
+            if CARRIED in data:
+                return unpacked_text(data[CARRIED])
     raise ValueError(
         f"{path} holds no options: its model was saved without a callback of this library. If there is a file of its "
         "options, use that."

@@ -12,17 +12,8 @@ import numpy as np
 from sb3_options.atomic import atomic_write
 from sb3_options.checked import whole
 from sb3_options.embedding.learned_map import LearnedMap
-from sb3_options.experience.observations import (
-    BoolArray,
-    FeatureMap,
-    FloatArray,
-    IntArray,
-    Observations,
-    batch_of_one,
-    batch_size,
-    key_of,
-    stack,
-)
+from sb3_options.experience import observations as obs_batch
+from sb3_options.experience.observations import BoolArray, FeatureMap, FloatArray, IntArray, Observations, key_of
 from sb3_options.options.archive import Source
 from sb3_options.options.file import MAX_SLOTS, OptionsFile, SpaceSignature, check_signature, content_of, opened
 from sb3_options.options.option import CACHE_BYTES, KnownFeatures, KnownResults, Option, SubgoalOption
@@ -136,7 +127,7 @@ class OptionBank:
 
         Primitives are always available, options within their initiation sets, empty slots never.
         """
-        mask = np.ones((batch_size(observations), self.n_primitive + self.max_options), dtype=bool)
+        mask = np.ones((obs_batch.batch_size(observations), self.n_primitive + self.max_options), dtype=bool)
         mask[:, self.n_primitive :] = self.available_slots(observations)
         return mask
 
@@ -151,7 +142,7 @@ class OptionBank:
         if len(observations) == 1:
             return np.array([self.available_at(observations[0])])
         if not self._is_by_data():
-            return self._computed_slots(stack(list(observations)))
+            return self._computed_slots(obs_batch.stack(list(observations)))
         answers = list(map(self._answers_at, observations))
         new = [each for each in answers if each.available is None]
         if new:
@@ -163,7 +154,7 @@ class OptionBank:
     def available_at(self, observation: Any) -> BoolArray:
         """Return which options may start in one observation, shape (max_options,). Not to be changed."""
         if not self._is_by_data():
-            return np.asarray(self._computed_slots(batch_of_one(observation))[0])
+            return np.asarray(self._computed_slots(obs_batch.batch_of_one(observation))[0])
         answers = self._answers_at(observation)
         if answers.available is None:
             available = [False] * self.max_options
@@ -177,14 +168,14 @@ class OptionBank:
         """Return whether one observation lies in I of the option in a slot."""
         if self._is_by_data():
             return bool(self.available_at(observation)[slot])
-        return bool(cast("Option", self._slots[slot]).initiation(batch_of_one(observation))[0])
+        return bool(cast("Option", self._slots[slot]).initiation(obs_batch.batch_of_one(observation))[0])
 
     def membership(self, slot: int, observation: Any) -> tuple[bool, float]:
         """Return whether one observation lies in I of the option in a slot, and β there."""
         answers = self._answers_at(observation)
         option = cast("Option", self._slots[slot])
         if answers.features is None:
-            initiation, termination = option.membership(batch_of_one(observation))
+            initiation, termination = option.membership(obs_batch.batch_of_one(observation))
             return bool(initiation[0]), float(termination[0])
         inside, arrived = cast("SubgoalOption", option).member(answers.features, answers.key)
         return inside, float(arrived)
@@ -198,7 +189,7 @@ class OptionBank:
             if answers.features is not None and cast("SubgoalOption", option).policy_input == "features":
                 actions = cast("SubgoalOption", option).policy_at(answers.features)
             else:
-                actions = option.policy(batch_of_one(observation))
+                actions = option.policy(obs_batch.batch_of_one(observation))
             known = answers.actions[slot] = int(checked_actions(option, actions, self.n_primitive)[0])
         return known
 
@@ -222,12 +213,12 @@ class OptionBank:
         return answers
 
     def _new_answers(self, observation: Any) -> Answers:
-        key = cast("KnownFeatures", self._shared).computed(batch_of_one(observation)).tobytes()
+        key = cast("KnownFeatures", self._shared).computed(obs_batch.batch_of_one(observation)).tobytes()
         answers = Answers(key, np.frombuffer(key)[None])
         return self._answers_by_features.setdefault(key, answers) if self._sees_features else answers
 
     def _computed_slots(self, observations: Observations) -> BoolArray:
-        mask = np.zeros((batch_size(observations), self.max_options), dtype=bool)
+        mask = np.zeros((obs_batch.batch_size(observations), self.max_options), dtype=bool)
         features = None
         for slot in self.filled:
             option = cast("Option", self._slots[slot])

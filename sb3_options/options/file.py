@@ -24,17 +24,11 @@ MAP = "feature_map"  # prefix of the array names of a learned feature map. Slots
 
 
 class SpaceSignature(NamedTuple):
-    """The observations that options act on.
+    """The observations that options act on."""
 
-    Attributes:
-        space: The observation space in readable form.
-        digest: Equal for two spaces exactly if type, shape, dtype and bounds are, part by part.
-        features: Origin of the feature map (`features.FeatureKind`); None if there is none.
-    """
-
-    space: str
-    digest: str
-    features: str | None
+    space: str  # the observation space in readable form
+    digest: str  # equal for two spaces exactly if type, shape, dtype and bounds are, part by part
+    features: str | None  # origin of the feature map (`features.FeatureKind`); None if there is none
 
 
 def check_signature(made_for: SpaceSignature, task: SpaceSignature, policy_inputs: set[PolicyInput]) -> None:
