@@ -41,15 +41,14 @@ def steps(*taken: tuple[int, int, int, int], states: FloatArray = STATES, ends: 
 AHEAD_IS_NEARER = steps((1, AHEAD, 0, 19), (4, AHEAD, 1, 5), (2, TURN, 3, 30), (3, AHEAD, 3, 30))
 
 
-def policy(rows: list[int]) -> TabularPolicy:
-    values = np.full((len(rows), 2), -np.inf)
-    values[:, AHEAD] = -np.arange(len(rows))
-    return TabularPolicy(STATES[rows], values)
+def extended(points: FloatArray, values: FloatArray, transitions: Transitions) -> tuple[Region, TabularPolicy]:
+    initiation = Region(points, np.array(GROUP.scale), 0.5, group=GROUP)
+    return imagined_farther(initiation, transitions, TabularPolicy(points, values), SETTINGS)
 
 
-def extended(rows: list[int], transitions: Transitions, group: FeatureGroup = GROUP) -> tuple[Region, TabularPolicy]:
-    initiation = Region(STATES[rows], np.array(group.scale), 0.5, group=group)
-    return imagined_farther(initiation, transitions, policy(rows), SETTINGS)
+def from_rows(rows: list[int], transitions: Transitions) -> tuple[Region, TabularPolicy]:
+    """Only a step ahead is known of these states, and is worth less from each to the next."""
+    return extended(STATES[rows], np.array([[-np.inf, -float(i)] for i in range(len(rows))]), transitions)
 
 
 def test_a_step_ahead_brings_nearer_in_its_context_only() -> None:
@@ -58,7 +57,7 @@ def test_a_step_ahead_brings_nearer_in_its_context_only() -> None:
 
 
 def test_the_initiation_set_goes_on_where_nobody_was() -> None:
-    region, table = extended([1, 4], AHEAD_IS_NEARER)
+    region, table = from_rows([1, 4], AHEAD_IS_NEARER)
     new = region.points[2:]
     assert new.tolist() == [[1, f, 0, 1] for f in (4, 5, 6, 7)]
     assert region.points[:2].tolist() == STATES[[1, 4]].tolist()
@@ -77,11 +76,8 @@ def test_of_two_ways_the_better_one_is_taken(order: list[int]) -> None:
     states = np.array([[1, 1, 0, 1], [1, 1, 1, 1], [1, 2, 0, 1], [1, 3, 1, 1], [1, 2, 1, 1]], dtype=np.float64)
     saved = [(2, AHEAD, 0, 40), (4, AHEAD, 1, 40), (3, AHEAD, 4, 40), (2, TURN, 4, 40)]
     transitions = steps(*saved, states=states, ends=(0, 1))
-    values = np.full((3, 2), -np.inf)
-    values[:, AHEAD] = [-2.0, -9.0, -8.0]  # of (2, 0), (3, 1) and (2, 1)
-    points = states[[2, 3, 4]][order]
-    initiation = Region(points, np.array(GROUP.scale), 0.5, group=GROUP)
-    region, table = imagined_farther(initiation, transitions, TabularPolicy(points, values[order]), SETTINGS)
+    values = np.array([[-np.inf, -2.0], [-np.inf, -9.0], [-np.inf, -8.0]])  # of (2, 0), (3, 1) and (2, 1)
+    region, table = extended(states[[2, 3, 4]][order], values[order], transitions)
     there = np.array([[1.0, 3.0, 0.0, 1.0]])
     assert there[0].tolist() in region.points.tolist()
     assert table.actions(there).tolist() == [AHEAD]
@@ -100,20 +96,18 @@ def test_of_two_ways_the_better_one_is_taken(order: list[int]) -> None:
 )
 def test_nothing_is_imagined_without_a_rule(transitions: Transitions) -> None:
     assert displacements(transitions, MOVING) == []
-    assert len(extended([1, 4], transitions)[0].points) == 2
+    assert len(from_rows([1, 4], transitions)[0].points) == 2
 
 
 def test_states_that_were_seen_stay_out() -> None:
     """(3, 0) was seen and is not in I: runs from there did not get to the subgoal. So nothing goes on behind it."""
-    assert len(extended([1], AHEAD_IS_NEARER)[0].points) == 1
+    assert len(from_rows([1], AHEAD_IS_NEARER)[0].points) == 1
 
 
 def test_there_is_a_limit() -> None:
     lateral = np.arange(MOST_POINTS / 2)
     points: FloatArray = np.stack([np.ones_like(lateral), lateral * 0 + 9, lateral, np.ones_like(lateral)], axis=1)
-    initiation = Region(points, np.array(GROUP.scale), 0.5, group=GROUP)
-    table = TabularPolicy(points, np.zeros((len(points), 2)))
-    region, _ = imagined_farther(initiation, AHEAD_IS_NEARER, table, SETTINGS)
+    region, _ = extended(points, np.zeros((len(points), 2)), AHEAD_IS_NEARER)
     assert len(region.points) == len(points) + MOST_POINTS
 
 
@@ -121,6 +115,5 @@ def test_a_rule_of_another_context_or_that_leads_to_what_was_seen_hides_no_later
     states = np.array([[1, 5, 0, 0], [1, 5, 1, 0], [1, 2, 1, 1], [1, 2, 0, 1], [1, 1, 0, 1]], dtype=np.float64)
     transitions = steps((0, TURN, 1, 40), (2, TURN, 3, 40), (3, AHEAD, 4, 40), states=states, ends=(4,))
     assert [rule.context[1] for rule in displacements(transitions, MOVING)] == [0, 1, 1]
-    initiation = Region(states[2:4], np.array(GROUP.scale), 0.5, group=GROUP)
-    region, _ = imagined_farther(initiation, transitions, TabularPolicy(states[2:4], np.zeros((2, 2))), SETTINGS)
+    region, _ = extended(states[2:4], np.zeros((2, 2)), transitions)
     assert [1, 3, 0, 1] in region.points.tolist()  # by a step ahead from (2, 0), beside which (2, 1) was seen

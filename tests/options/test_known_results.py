@@ -2,13 +2,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sb3_options.density.regions import Region
 from sb3_options.embedding.encoders import ObservationForm
 from sb3_options.embedding.learned_map import LearnedMap
-from sb3_options.experience.observations import flatten
+from sb3_options.experience.observations import FloatArray, flatten
 from sb3_options.options import option
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import CACHE_BATCH, KnownFeatures, KnownResults, SubgoalOption
@@ -21,7 +20,7 @@ class Squares:
     def __init__(self) -> None:
         self.asked: list[float] = []
 
-    def __call__(self, observations: Any) -> npt.NDArray[np.float64]:
+    def __call__(self, observations: Any) -> FloatArray:
         numbers = observations["x"] if isinstance(observations, dict) else observations
         self.asked += numbers.ravel().tolist()
         return np.asarray(numbers, dtype=np.float64).reshape(len(numbers)) ** 2
@@ -34,8 +33,7 @@ def batch(numbers: Sequence[int], *, as_dict: bool) -> Any:
 
 @pytest.mark.parametrize("as_dict", [False, True])
 def test_only_new_observations_are_computed(as_dict: bool) -> None:
-    known: KnownResults[np.float64] = KnownResults()
-    squares = Squares()
+    known, squares = KnownResults[np.float64](), Squares()
     for numbers, new in [([3], [3]), ([1, 3, 2], [1, 2]), ([2], []), ([3, 1], []), ([4, 4], [4, 4]), ([4], [])]:
         before = len(squares.asked)
         results = known(squares, batch(numbers, as_dict=as_dict))
@@ -45,8 +43,7 @@ def test_only_new_observations_are_computed(as_dict: bool) -> None:
 
 @pytest.mark.parametrize("n", [0, CACHE_BATCH + 1])
 def test_an_empty_or_large_batch_is_computed(n: int) -> None:
-    known: KnownResults[np.float64] = KnownResults()
-    squares = Squares()
+    known, squares = KnownResults[np.float64](), Squares()
     for _ in range(2):
         assert known(squares, batch(range(n), as_dict=False)).tolist() == [number**2 for number in range(n)]
     assert len(squares.asked) == 2 * n
@@ -57,8 +54,7 @@ def test_observations_that_seldom_repeat_are_cached_no_longer(
     monkeypatch: pytest.MonkeyPatch, repeats: int, computed_again: bool
 ) -> None:
     monkeypatch.setattr(option, "CACHE_BYTES", 100_000)
-    known: KnownResults[np.float64] = KnownResults()
-    squares = Squares()
+    known, squares = KnownResults[np.float64](), Squares()
     for number in range(1_000):
         for _ in range(repeats):
             assert known(squares, batch([number], as_dict=False)).tolist() == [number**2]
@@ -92,7 +88,7 @@ def test_features_stay_when_an_environment_writes_into_its_last_observation(n: i
     assert known(first).tolist() == first.tolist()
 
 
-def reaching(goal: npt.NDArray[np.float64], initiation: npt.NDArray[np.float64], scale: float = 1.0) -> SubgoalOption:
+def reaching(goal: FloatArray, initiation: FloatArray, scale: float = 1.0) -> SubgoalOption:
     scales = np.full(goal.shape[1], scale)
     policy = TabularPolicy(np.zeros((1, 1)), np.zeros((1, 2)))
     return SubgoalOption(Region(goal, scales, 0.5), Region(initiation, scales, 0.5), policy)
@@ -103,13 +99,29 @@ def test_a_map_that_is_learned_anew_leaves_nothing_known() -> None:
     learned, other = (LearnedMap(ObservationForm("vector", (1,)), seed) for seed in (0, 5))
     bank = OptionBank(2, 1, feature_map=learned)
     bank.add(reaching(learned(places[2:]), learned(places[:2]), scale=1e6))
-    here = bank[0]
-    assert here is not None
-    for n in (1, 2):
-        assert here.initiation(places[:n]).all()
+    here: Any = bank[0]
+    assert bank.may_start(0, places[0])
+    assert all(here.initiation(places[:n]).all() for n in (1, 2))
     learned.load(other.arrays())
-    for n in (1, 2):
-        assert not here.initiation(places[:n]).any()
+    assert not bank.may_start(0, places[0])
+    assert not bank.membership(0, places[0])[0]
+    assert not bank.available_slots(places[:1]).any()
+    assert not any(here.initiation(places[:n]).any() for n in (1, 2))
+
+
+def test_all_options_of_a_bank_ask_once_for_the_features_of_an_observation() -> None:
+    asked: list[Any] = []
+
+    def noting(observations: Any) -> FloatArray:
+        asked.append(observations)
+        return flatten(observations)
+
+    bank = OptionBank(2, 3, feature_map=noting)
+    for points in ([[1.0]], [[2.0]], [[1.0], [2.0]]):
+        bank.add(reaching(np.zeros((1, 1)), np.array(points)))
+    for _ in range(2):
+        assert bank.available(np.array([[1.0]])).tolist() == [[True, True, True, False, True]]
+    assert len(asked) == 1
 
 
 def test_options_are_asked_with_the_feature_map_that_each_is_bound_to() -> None:

@@ -1,4 +1,5 @@
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -13,19 +14,24 @@ from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.replay import replay_into_network, replay_into_table
 from sb3_options.options.settings import OptionLearningSettings
-from sb3_options.options.tasks import transitions_to, value_keys
+from sb3_options.options.tasks import Transitions, transitions_to, value_keys
 from tests.options.corridor import DOOR, LEFT, RIGHT, generator, known_values, walk
 from tests.support.helpers import ball, labelled, line, trajectory_of
 
-SETTINGS = OptionLearningSettings()
+
+def saved_steps(
+    trajectories: Iterable[LabelledTrajectory], places: Any, *, to: Region = DOOR, radius: float = 0.0, **settings: Any
+) -> Transitions:
+    """The saved steps of the task to get there from places on a line."""
+    initiation = Region(np.array(places, dtype=np.float64)[:, None], np.ones(1), radius)
+    steps = transitions_to(to, initiation, trajectories, OptionLearningSettings(**settings))
+    assert steps is not None
+    return steps
 
 
 class TestTable:
     def replay(self, *trajectories: LabelledTrajectory, gamma: float = 1.0, sweeps: int = 500) -> TabularPolicy:
-        initiation = Region(np.array([[2.0], [3.0], [4.0]]), np.ones(1), 0.0)
-        steps = transitions_to(DOOR, initiation, trajectories, SETTINGS)
-        assert steps is not None
-        return replay_into_table(steps, 2, gamma=gamma, sweeps=sweeps)
+        return replay_into_table(saved_steps(trajectories, [2, 3, 4]), 2, gamma=gamma, sweeps=sweeps)
 
     def test_corridor_by_hand(self) -> None:
         """2, 3 and 4 are in I; leaving it to 1 costs 100."""
@@ -53,9 +59,7 @@ class TestTable:
     def test_a_step_into_the_unknown_does_not_look_like_a_short_way(self) -> None:
         """A truncated trajectory ends in a state that nobody acted in: what follows is unknown, not good."""
         dead_end = labelled(trajectory_of([np.array([p]) for p in (2.0, 2.4, 2.45)], [LEFT, LEFT]))
-        initiation = Region(np.array([[2.0], [3.0], [4.0]]), np.ones(1), 0.5)
-        steps = transitions_to(DOOR, initiation, [walk([2, 3, 4, 5]), dead_end], SETTINGS)
-        assert steps is not None
+        steps = saved_steps([walk([2, 3, 4, 5]), dead_end], [2, 3, 4], radius=0.5)
         policy = replay_into_table(steps, 2, gamma=1.0, sweeps=500)
         assert known_values(policy) == {2: [-math.inf, -2], 3: [-math.inf, -1], 4: [-math.inf, 0]}
 
@@ -84,20 +88,14 @@ class TestTable:
             trajectories.append(line(states, actions))
         gamma, values = 0.95, np.zeros(16)
         q: dict[tuple[int, int], float] = {}
-        for _ in range(2000):
+        for _ in range(600):
             for pair, followers in happened.items():
-                q[pair] = float(
-                    np.mean(
-                        [0.0 if f == subgoal else -1 + gamma * values[f] if f in inside else -50 for f in followers]
-                    )
-                )
+                returns = [0.0 if f == subgoal else -1 + gamma * values[f] if f in inside else -50 for f in followers]
+                q[pair] = sum(returns) / len(returns)
             for state in inside:
                 values[state] = max(q[state, a] for a in range(4) if (state, a) in q)
 
-        settings = OptionLearningSettings(leave_reward=-50.0)
-        initiation = Region(np.array(inside, dtype=np.float64)[:, None], np.ones(1), 0.0)
-        steps = transitions_to(ball(float(subgoal)), initiation, trajectories, settings)
-        assert steps is not None
+        steps = saved_steps(trajectories, inside, to=ball(float(subgoal)), leave_reward=-50.0)
         policy = replay_into_table(steps, 4, gamma=gamma, sweeps=2000)
         got = known_values(policy)
         assert sorted(got) == inside
@@ -150,9 +148,7 @@ class TestNetwork:
         for name, array in arrays[0].items():
             np.testing.assert_array_equal(array, arrays[1][name])
         assert torch.equal(torch.get_rng_state(), global_state)
-        settings, everywhere = OptionLearningSettings(), Region(np.array([[5.0]]), np.ones(1), 9.0)
-        steps = transitions_to(self.door, everywhere, self.trajectories(1), settings)
-        assert steps is not None
+        steps = saved_steps(self.trajectories(1), [5], to=self.door, radius=9.0)
         first, second = (replay_into_network(steps, 2, gamma=0.9, updates=1, generator=generator(s)) for s in (0, 1))
         assert not np.array_equal(first.weights[0], second.weights[0])
 
