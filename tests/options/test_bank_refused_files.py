@@ -59,13 +59,10 @@ class TestDamage:
         path = folder / "corrupted"
         path.write_bytes(damaged)
         bank = empty_bank()
-        message = None
         try:
             bank.load(path)
         except ValueError as error:
-            message = str(error)
-        if message is not None:
-            assert "corrupted" in message  # it says which file
+            assert "corrupted" in str(error)  # noqa: PT017  # it says which file; some changes are none
             assert bank.slots == (None,) * CAPACITY
         else:
             assert behaviour(bank, OBSERVATIONS[:50]) == behaviour(filled_bank(), OBSERVATIONS[:50])
@@ -121,9 +118,7 @@ class TestOtherTasks:
         bank.save(tmp_path / "options")
         again = empty_bank()
         again.load(tmp_path / "options")
-        option = again[0]
-        assert isinstance(option, SubgoalOption)
-        assert option.policy_input == "features"
+        assert getattr(again[0], "policy_input", None) == "features"
         assert behaviour(again, OBSERVATIONS) == behaviour(bank, OBSERVATIONS)
 
     def test_a_network_for_other_observations(self, tmp_path: Path) -> None:

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import BoolArray, FloatArray, Observations
+from sb3_options.experience.observations import BoolArray, FloatArray, Observations, flatten
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import ball, steady_option, table_option
+from tests.support.helpers import ball, equal, steady_option, table_option
 
 
 def subgoal_option(**kwargs: Any) -> SubgoalOption:
@@ -18,19 +18,12 @@ def subgoal_option(**kwargs: Any) -> SubgoalOption:
     return SubgoalOption(ball(3.0, radius=0.5), initiation, policy, **kwargs)
 
 
-def flat(observations: Observations) -> Any:
-    return np.asarray(observations, dtype=np.float64).reshape(len(observations), -1)
-
-
 def test_the_three_functions_of_a_hand_made_option() -> None:
     option = table_option([0, 1, 1], [2, 0, 1], [0.0, 0.25, 1.0])
     observations = np.array([2, 0, 1, 1])
-    assert option.initiation(observations).tolist() == [True, False, True, True]
-    assert option.policy(observations).tolist() == [1, 2, 0, 0]
-    assert option.termination(observations).tolist() == [1.0, 0.0, 0.25, 0.25]
-    assert option.initiation(observations).dtype == bool
-    assert option.policy(observations).dtype == np.int64
-    assert option.termination(observations).dtype == np.float64
+    assert equal(option.initiation(observations), np.array([True, False, True, True]))
+    assert equal(option.policy(observations), np.array([1, 2, 0, 0]))
+    assert equal(option.termination(observations), np.array([1.0, 0.0, 0.25, 0.25]))
 
 
 @pytest.mark.parametrize(
@@ -58,7 +51,7 @@ class TestSubgoalOption:
     observations = np.array([[0.0], [1.0], [1.2], [2.0], [2.5], [3.0], [3.5], [3.6]])
 
     def test_functions(self) -> None:
-        option = subgoal_option(feature_map=flat)
+        option = subgoal_option(feature_map=flatten)
         # 2.5, 3 and 3.5 are the subgoal; 3.2 would be in I but for that.
         assert option.termination(self.observations).tolist() == [0, 0, 0, 0, 1, 1, 1, 0]
         assert option.initiation(self.observations).tolist() == [False, True, True, True, False, False, False, False]
@@ -67,11 +60,11 @@ class TestSubgoalOption:
     def test_one_at_a_time_and_again_is_the_same(self) -> None:
         asked: list[int] = []
 
-        def counting(observations: Observations) -> Any:
+        def counting(observations: Observations) -> FloatArray:
             asked.append(len(observations))
-            return flat(observations)
+            return flatten(observations)
 
-        together, option = subgoal_option(feature_map=flat), subgoal_option(feature_map=counting)
+        together, option = subgoal_option(feature_map=flatten), subgoal_option(feature_map=counting)
         for _ in range(3):
             for i in range(len(self.observations)):
                 one = self.observations[i : i + 1]
@@ -91,8 +84,8 @@ class TestSubgoalOption:
             return contains(region, features)
 
         monkeypatch.setattr(Region, "contains", counted)
-        option = subgoal_option(feature_map=lambda obs: flat(obs)[:, :1])
-        others = option.bind(lambda obs: flat(obs)[:, 1:])
+        option = subgoal_option(feature_map=lambda obs: flatten(obs)[:, :1])
+        others = option.bind(lambda obs: flatten(obs)[:, 1:])
         answers = {bool(option.initiation(np.array([[1.0, other]]))[0]) for other in range(3)}
         answers |= {bool(others.initiation(np.array([[other, 1.0]]))[0]) for other in range(3)}
         assert answers == {True}
@@ -100,7 +93,7 @@ class TestSubgoalOption:
 
     def test_what_is_remembered_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("sb3_options.options.option.CACHE_BYTES", 100)
-        option = subgoal_option(feature_map=flat)
+        option = subgoal_option(feature_map=flatten)
         for place in np.linspace(0.0, 5.0, 1000):
             assert option.termination(np.array([[place]])) == (2.5 <= place <= 3.5)
             assert len(option._membership._rows) <= 14
@@ -108,17 +101,16 @@ class TestSubgoalOption:
     def test_without_a_feature_map(self) -> None:
         option = subgoal_option(name="door")
         message = r"^Option 'door' has no feature map: add it to the bank of an OptionsWrapper that has one"
-        with pytest.raises(ValueError, match=message):
-            option.initiation(self.observations)
-        with pytest.raises(ValueError, match=message):
-            option.termination(self.observations)
+        for function in (option.initiation, option.termination):
+            with pytest.raises(ValueError, match=message):
+                function(self.observations)
 
     def test_pickle_leaves_the_feature_map_behind(self) -> None:
-        option = subgoal_option(feature_map=lambda obs: flat(obs), name="door")
+        option = subgoal_option(feature_map=lambda obs: flatten(obs), name="door")
         copied = pickle.loads(pickle.dumps(option))
         with pytest.raises(ValueError, match="no feature map"):
             copied.initiation(self.observations)
-        again = copied.bind(flat)
+        again = copied.bind(flatten)
         for function in ("initiation", "policy", "termination"):
             np.testing.assert_array_equal(
                 getattr(again, function)(self.observations), getattr(option, function)(self.observations)
