@@ -12,12 +12,14 @@ from sb3_options import OptionsWrapper
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.concepts import ConceptsInObservation
 from sb3_options.execution.features import MAX_FEATURES, Features, flat_size, form_of, signature
-from tests.support.helpers import CountingEnv
+from tests.support.helpers import CountingEnv, equal
 from tests.support.sb3_helpers import Corridor, places
 
 
-def resolve(env: gym.Env[Any, Any], feature_map: Any) -> Features | None:
-    return OptionsWrapper(env, feature_map=feature_map).features
+def resolve(env: gym.Env[Any, Any], feature_map: Any = None) -> Features:
+    features = OptionsWrapper(env, feature_map=feature_map).features
+    assert features is not None
+    return features
 
 
 def env_with(space: Any) -> gym.Env[Any, Any]:
@@ -39,39 +41,24 @@ def env_with(space: Any) -> gym.Env[Any, Any]:
     ],
 )
 def test_defaults(space: Any, kind: str, observations: Any, expected: Any) -> None:
-    features = resolve(env_with(space), None)
-    assert features is not None
-    assert features.kind == kind
-    result = features.map(np.array(observations))
-    assert result.dtype == np.float64
-    assert result.tolist() == expected
-    assert features.size == len(expected[0])
+    features = resolve(env_with(space))
+    assert (features.kind, features.size) == (kind, len(expected[0]))
+    assert equal(features.map(np.array(observations)), np.array(expected, dtype=np.float64))
 
 
-def test_the_environments_own() -> None:
-    env = gym.make("sb3_options/TwoRooms-v0")
-    features = resolve(env, None)
-    assert features is not None
+def test_the_environments_own_unless_one_is_given() -> None:
+    features = resolve(gym.make("sb3_options/TwoRooms-v0"))
     assert (features.kind, features.size) == ("environment", 2)
     assert features.map(np.eye(210)[[0, 22]]).tolist() == [[0, 0], [1, 1]]
-
-
-def test_the_given_one_goes_first() -> None:
     features = resolve(gym.make("sb3_options/TwoRooms-v0"), lambda obs: np.zeros((len(obs), 7)))
-    assert features is not None
     assert (features.kind, features.size) == ("given", 7)
-
-
-def test_dict_observations() -> None:
     features = resolve(Corridor("dict"), places)
-    assert features is not None
     assert (features.kind, features.size) == ("given", 1)
 
 
 def test_a_map_that_refuses_made_up_observations_is_measured_at_the_first_real_one() -> None:
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", observation="image"))
-    assert env.features is not None
-    assert env.features.size is None
+    assert env.traits.feature_size is None
     env.reset(seed=0)
     assert env.bank.feature_size == 2
 
@@ -203,7 +190,6 @@ def test_features_of_observations_that_a_wrapper_has_changed_are_refused() -> No
 def test_what_a_learned_map_knows_of_observations(space: Any, form: Any) -> None:
     assert form_of(space) == form
     features = resolve(env_with(space), "temporal-distance")
-    assert features is not None
     assert isinstance(features.map, LearnedMap)
     assert features[1:] == (LearnedMap.size, "temporal-distance", ())
     assert features.map.encoder.form == form
@@ -211,23 +197,19 @@ def test_what_a_learned_map_knows_of_observations(space: Any, form: Any) -> None
 
 def test_groups_of_a_given_map_are_its_own() -> None:
     class Grouped:
-        def __call__(self, observations: Any) -> Any:
-            return np.zeros((len(observations), 3))
+        __call__ = _Grouped.concept_features
+        concept_groups = _Grouped.concept_groups
 
-        def concept_groups(self) -> list[dict[str, Any]]:
-            return [{"name": "last", "features": [2]}]
-
-    features = resolve(env_with(spaces.Box(0, 1, (2,))), Grouped())
-    assert features is not None
-    assert [(group.name, group.features) for group in features.groups] == [("last", (2,))]
+    (group,) = resolve(env_with(spaces.Box(0, 1, (2,))), Grouped()).groups
+    assert (group.name, group.features) == ("last", (2,))
 
 
 @pytest.mark.parametrize(("n", "kind"), [(MAX_FEATURES, "identity"), (MAX_FEATURES + 1, None)])
 def test_the_largest_space_with_a_default(n: int, kind: str | None) -> None:
     for none in (spaces.Dict({"a": spaces.Discrete(2)}), spaces.Box(0, 255, (64, 64, 3), np.uint8)):
-        assert resolve(env_with(none), None) is None
+        assert OptionsWrapper(env_with(none)).features is None
     for space in (spaces.Box(0, 1, (n,)), spaces.Discrete(n)):
-        features = resolve(env_with(space), None)
+        features = OptionsWrapper(env_with(space)).features
         name = "categorical" if kind and isinstance(space, spaces.Discrete) else kind
         assert (features and features.kind) == name
 
@@ -257,7 +239,7 @@ def test_signatures_differ_where_spaces_do() -> None:
     assert signature(turned, None).digest == signature(DIFFERENT[-4], None).digest
     assert signature(spaces.Discrete(4, seed=3), None) == told[0]
     assert told[0].features is None
-    assert signature(DIFFERENT[0], resolve(env_with(DIFFERENT[0]), None)).features == "categorical"
+    assert signature(DIFFERENT[0], resolve(env_with(DIFFERENT[0]))).features == "categorical"
 
 
 @pytest.mark.parametrize(("n", "cut"), [(200, False), (201, True)])

@@ -3,24 +3,19 @@
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
-from sb3_options.density.regions import Region
-from sb3_options.options.option import SubgoalOption
-from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, ball
+from tests.options.banks import along_row_5
+from tests.support.helpers import CountingEnv
 
 
 def make(max_runs: int | None, **kwargs: Any) -> OptionsWrapper:
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", success_probability=1.0, **kwargs), max_runs=max_runs)
     east, west = 3, 2
-    cells = Region(np.array([[x, 5.0] for x in range(2, 8)]), np.ones(2), 0.0)
     for action in (east, west):
-        policy = TabularPolicy(np.zeros((1, 210)), np.eye(4)[action : action + 1])
-        env.bank.add(SubgoalOption(ball(8.0, 5.0), cells, policy))
+        env.bank.add(along_row_5(8.0, 2, 8, action))
     return env
 
 

@@ -10,10 +10,8 @@ from gymnasium import spaces
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
-from sb3_options.density.regions import Region
-from sb3_options.options.option import SubgoalOption
-from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, ball, equal, steady_option, table_option
+from tests.options.banks import along_row_5
+from tests.support.helpers import CountingEnv, equal, steady_option, table_option
 
 
 def with_two_options() -> OptionsWrapper:
@@ -54,11 +52,9 @@ def test_info_has_what_is_available_for_who_asks_once_there_are_options() -> Non
 
 
 def test_set_option_fills_replaces_and_empties() -> None:
-    env = with_two_options()
-    option = steady_option()
-    env.set_option(2, option)
-    env.set_option(1, None)
-    env.set_option(0, None)
+    env, option = with_two_options(), steady_option()
+    for slot, content in ((2, option), (1, None), (0, None)):
+        env.set_option(slot, content)
     assert env.bank.slots == (None, None, option)
     with pytest.raises(ValueError, match=r"^slot must be between 0 and 2, got 3\.$"):
         env.set_option(3, option)
@@ -68,15 +64,14 @@ class TestOptionsFile:
     @pytest.fixture
     def path(self, tmp_path: Path) -> Path:
         env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
-        cells = Region(np.array([[x, 5.0] for x in range(10)]), np.ones(2), 0.0)
-        env.bank.add(SubgoalOption(ball(10.0, 5.0), cells, TabularPolicy(np.zeros((1, 210)), np.eye(4)[3:])), 1)
+        env.bank.add(along_row_5(10.0, 0, 10, 3), 1)
         env.bank.save(tmp_path / "options.safetensors")
         return tmp_path / "options.safetensors"
 
     def test_its_options_are_there_from_the_start(self, path: Path) -> None:
         env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", success_probability=1.0), options_file=str(path))
         assert env.bank.filled == (1,)
-        observation, _ = env.reset(options={"start": (2, 5)})
+        env.reset(options={"start": (2, 5)})
         assert env.action_masks().tolist() == [True] * 4 + [False, True, False, False]
         observation, _, _, _, info = env.step(5)
         assert (info["option"]["duration"], info["option"]["termination"]) == (8, "subgoal")

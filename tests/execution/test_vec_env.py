@@ -9,21 +9,21 @@ from sb3_options.execution.vec_env import as_wrapper_sees
 from tests.support.sb3_helpers import Corridor
 
 
+def assert_seen(back: Any, inner: DummyVecEnv) -> None:
+    for i, corridor in enumerate(e for e in inner.envs if isinstance(e, Corridor)):
+        single = corridor.see(corridor.place)
+        for key, value in single.items() if isinstance(single, dict) else [("", single)]:
+            np.testing.assert_array_equal((back[key] if key else back)[i], value)
+
+
 @pytest.mark.parametrize("kind", ["box", "discrete", "image", "dict", "dict_discrete"])
 def test_gives_back_what_the_environments_saw(kind: str) -> None:
     inner = DummyVecEnv([lambda: Corridor(kind), lambda: Corridor(kind)])
     venv: VecEnv = VecTransposeImage(inner) if kind in ("image", "dict") else inner
     venv.seed(0)
     seen = venv.reset()
-    corridors = [e for e in inner.envs if isinstance(e, Corridor)]
     back = as_wrapper_sees(venv, seen)
-    for i, corridor in enumerate(corridors):
-        single = corridor.see(corridor.place)
-        if isinstance(single, dict):
-            for key, value in single.items():
-                np.testing.assert_array_equal(back[key][i], value)
-        else:
-            np.testing.assert_array_equal(back[i], single)
+    assert_seen(back, inner)
     if kind == "image":
         assert isinstance(seen, np.ndarray)
         assert (seen.shape, back.shape) == ((2, 3, 36, 40), (2, 36, 40, 3))
@@ -47,14 +47,10 @@ def test_the_newest_of_stacked_frames_is_what_the_environments_saw(kind: str, ho
     venv = STACKED[how](inner)
     venv.seed(0)
     seen: Any = venv.reset()
-    rng, places = np.random.default_rng(0), set()
+    rng, places = np.random.default_rng(0), set[int]()
     for _ in range(60):
-        back = as_wrapper_sees(venv, seen)
-        for i, corridor in enumerate(e for e in inner.envs if isinstance(e, Corridor)):
-            single = corridor.see(corridor.place)
-            for key, value in single.items() if isinstance(single, dict) else [("", single)]:
-                np.testing.assert_array_equal((back[key] if key else back)[i], value)
-            places.add(corridor.place)
+        assert_seen(as_wrapper_sees(venv, seen), inner)
+        places |= set(inner.get_attr("place"))
         seen, _, _, _ = venv.step(rng.integers(2, size=2))
     assert len(places) > 5
 

@@ -12,12 +12,10 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
-from sb3_options.density.regions import Region
 from sb3_options.embedding.learned_map import LearnedMap
 from sb3_options.execution.slots import SlotState, Traits
-from sb3_options.options.option import SubgoalOption
-from sb3_options.options.policies import TabularPolicy
-from tests.support.helpers import CountingEnv, ball, equal, random_state, steady_option, table_option
+from tests.options.banks import along_row_5
+from tests.support.helpers import CountingEnv, equal, random_state, steady_option, table_option
 from tests.support.sb3_helpers import TAXI
 
 GRIDWORLDS = [f"sb3_options/{name}-v0" for name in ("TwoRooms", "FourRooms", "KeyDoor")]
@@ -36,7 +34,7 @@ def test_without_options_it_is_the_environment_itself_bit_for_bit(env_id: str, k
     bare, wrapped = gym.make(env_id, **kwargs), OptionsWrapper(gym.make(env_id, **kwargs))
     assert wrapped.observation_space == bare.observation_space
     n_actions = int(bare.action_space.n)  # type: ignore[attr-defined]  # Discrete
-    actions = np.random.default_rng(1).integers(n_actions, size=10_000)
+    actions = np.random.default_rng(1).integers(n_actions, size=3_000)
     assert all(equal(a, b) for a, b in zip(bare.reset(seed=7), wrapped.reset(seed=7), strict=True))
     episodes = 0
     for action in actions:
@@ -87,15 +85,10 @@ def test_an_empty_slot_runs_the_primitive_of_its_number() -> None:
 @pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
 @pytest.mark.filterwarnings("ignore:.*Not able to test alternative render modes")
 @pytest.mark.filterwarnings("ignore:.*A Box observation space m(in|ax)imum value is -?infinity")
-def test_gymnasium_check_env(env_id: str, kwargs: dict[str, Any]) -> None:
-    check_env(gym.make(env_id, **kwargs), skip_render_check=True)
-    check_env(OptionsWrapper(gym.make(env_id, **kwargs)), skip_render_check=True)
-
-
-@env_ids
-def test_sb3_check_env(env_id: str, kwargs: dict[str, Any]) -> None:
-    sb3_check_env(gym.make(env_id, **kwargs))
-    sb3_check_env(OptionsWrapper(gym.make(env_id, **kwargs)))
+def test_checks_of_gymnasium_and_sb3(env_id: str, kwargs: dict[str, Any]) -> None:
+    for wrap in (lambda env: env, OptionsWrapper):
+        check_env(wrap(gym.make(env_id, **kwargs)), skip_render_check=True)
+        sb3_check_env(wrap(gym.make(env_id, **kwargs)))
 
 
 @pytest.mark.parametrize(("env_id", "kwargs"), ENVS[:1] + ENVS[-2:])
@@ -175,9 +168,7 @@ def test_a_learned_map_is_what_it_is_told_to_be() -> None:
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_goes_on_alike(how: Any) -> None:
     env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
-    cells = Region(np.array([[x, 5.0] for x in range(10)]), np.ones(2), 0.0)
-    option = SubgoalOption(ball(10.0, 5.0), cells, TabularPolicy(np.zeros((1, 210)), np.eye(4)[3:]))
-    env.bank.add(option)
+    env.bank.add(along_row_5(10.0, 0, 10, 3))
     env.reset(seed=0, options={"start": (2, 5)})
     twin = how(env)
     for action in (3, 4, 5, 6, 4, 5):

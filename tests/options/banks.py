@@ -10,6 +10,7 @@ from sb3_options.experience.observations import FloatArray, Observations, flatte
 from sb3_options.options.bank import OptionBank
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import NetworkPolicy, TabularPolicy
+from tests.support.helpers import ball
 
 N_PRIMITIVE, SIZE, CAPACITY = 4, 3, 5
 
@@ -42,6 +43,12 @@ def network(seed: int = 1) -> SubgoalOption:
     option = table(seed)
     half_space = dataclasses.replace(option.subgoal, normal=rng.normal(size=2))
     return SubgoalOption(half_space, option.initiation_set, policy, max_duration=3, name="network: π ≠ β")
+
+
+def along_row_5(goal: float, start: int, end: int, action: int) -> SubgoalOption:
+    """In `TwoRooms`, along row 5 from columns ``start`` … ``end`` − 1 to its goal by one action."""
+    cells = Region(np.array([[x, 5.0] for x in range(start, end)]), np.ones(2), 0.0)
+    return SubgoalOption(ball(goal, 5.0), cells, TabularPolicy(np.zeros((1, 210)), np.eye(4)[[action]]))
 
 
 def empty_bank(**changes: Any) -> OptionBank:
