@@ -46,15 +46,10 @@ def counting() -> OptionsWrapper:
     return env
 
 
-def tenth(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    return wrappers.TransformReward(env, lambda r: r / 10)  # type: ignore[operator]  # SupportsFloat
-
-
-def limited(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    return wrappers.TimeLimit(env, 10)
-
-
-CHANGES: list[Wrap] = [tenth, limited, wrappers.NormalizeObservation, wrappers.NormalizeReward, Shaped]
+CHANGES: list[Wrap] = [
+    lambda env: wrappers.TransformReward(env, lambda r: r / 10),  # type: ignore[operator]  # SupportsFloat
+    lambda env: wrappers.TimeLimit(env, 10), wrappers.NormalizeObservation, wrappers.NormalizeReward, Shaped,
+]  # fmt: skip
 KEEPS: list[Wrap] = [
     Monitor, wrappers.OrderEnforcing, wrappers.RecordEpisodeStatistics, Named,
     ActionLog, lambda env: ActionMasker(env, lambda e: e.get_wrapper_attr("action_masks")()),
@@ -79,7 +74,7 @@ def test_what_leaves_them_alone_may_stay(wrap: Wrap) -> None:
 
 def limited_rooms() -> gym.Env[Any, Any]:
     """What a worker process calls."""
-    return limited(make_optioned_rooms())
+    return wrappers.TimeLimit(make_optioned_rooms(), 10)
 
 
 @pytest.mark.parametrize("venv", [DummyVecEnv, SubprocVecEnv])

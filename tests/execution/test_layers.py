@@ -76,17 +76,13 @@ def test_a_file_that_is_shorter_or_not_there_stays_as_it_is(tmp_path: Path, moni
     assert (tmp_path / "b.monitor.csv").read_bytes() == before
 
 
-class Same(gym.Wrapper[Any, Any, Any, Any]):
-    """Is the same in every step."""
-
-    remembers_nothing = True
-
-
-class Silent(gym.Wrapper[Any, Any, Any, Any]):
-    """Says nothing of that."""
-
-
 def test_a_wrapper_that_remembers_nothing_need_not_tell() -> None:
+    class Same(gym.Wrapper[Any, Any, Any, Any]):
+        remembers_nothing = True
+
+    class Silent(gym.Wrapper[Any, Any, Any, Any]):
+        pass
+
     class Told(CountingEnv):
         def get_state(self) -> dict[str, Any]:
             return {"time": self.time}

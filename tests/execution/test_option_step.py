@@ -118,10 +118,8 @@ def test_terminations_by_hand(option: Option, flags: dict[str, Any], termination
     env.bank.add(option, 1)
     env.reset(seed=0)
     observation, reward, terminated, truncated, info = env.step(3)
-    assert observation.tolist() == [k]
-    assert reward == total
-    assert terminated == (flags.get("terminate_at") == k)
-    assert truncated == (flags.get("truncate_at") == k)
+    ends = flags.get("terminate_at") == k, flags.get("truncate_at") == k
+    assert (observation.tolist(), reward, terminated, truncated) == ([k], total, *ends)
     about = info["option"]
     assert (about["index"], about["duration"], about["discount"]) == (1, k, 0.5**k)
     assert about["termination"] == termination
@@ -163,8 +161,7 @@ def test_stochastic_termination() -> None:
     assert chisquare([*observed, 2000 - sum(observed)], [*expected, 2000 - sum(expected)]).pvalue > 0.01
 
     env.reset(seed=3)
-    again = env.step(2)[4]["option"]["duration"]
-    assert again == durations[3]
+    assert env.step(2)[4]["option"]["duration"] == durations[3]
 
 
 def test_a_policy_that_names_no_primitive() -> None:

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN, PPO
 
-from sb3_options import MacroQ, Option, OptionDQN, OptionReplayBuffer, OptionsWrapper
+from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback
 from tests.support.helpers import steady_option
 
@@ -31,14 +31,17 @@ class Gate(gym.Env[Any, int]):
         return self._seen(), {}
 
     def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        if not self.action_masks()[action]:
+        if not self.legal()[action]:
             raise ValueError(f"action {action} is illegal at x = {self.x}, step {self.time}")
         self.x = min(max(self.x + action - 1, 0), 6)
         self.time += 1
         return self._seen(), float(self.x == 6), self.x == 6, self.time >= 40, {}
 
-    def action_masks(self) -> list[bool]:
+    def legal(self) -> list[bool]:
         return [True, True, self.x != GATE or self.time % 2 == 0]
+
+    def action_masks(self) -> list[bool]:
+        return self.legal()
 
     def _seen(self) -> Any:
         return np.array([self.x], dtype=np.float32)
@@ -47,24 +50,12 @@ class Gate(gym.Env[Any, int]):
 class GateProperty(Gate):
     """Its masks are a property."""
 
-    @property
-    def action_masks(self) -> Any:
-        return Gate.action_masks(self)
-
-    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        assert self.action_masks[action]
-        self.time += 1
-        self.x = min(max(self.x + action - 1, 0), 6)
-        return self._seen(), 0.0, False, False, {}
-
-
-def right() -> Option:
-    return steady_option(RIGHT, max_duration=10)
+    action_masks = property(Gate.legal)
 
 
 def wrapped(env: gym.Env[Any, Any], max_options: int = 4) -> OptionsWrapper:
     env = OptionsWrapper(env, max_options, gamma=0.9)
-    env.set_slots(options={0: right()}, expect_empty=True, report_availability=True)
+    env.set_slots(options={0: steady_option(RIGHT, max_duration=10)}, expect_empty=True, report_availability=True)
     env.reset(seed=0)
     return env
 
@@ -73,11 +64,11 @@ def wrapped(env: gym.Env[Any, Any], max_options: int = 4) -> OptionsWrapper:
 def test_an_option_ends_before_what_is_masked_and_does_not_start_there(make: type[Gate]) -> None:
     env = wrapped(make())
     assert env.action_masks().tolist() == [True, True, True, True, False, False, False]
-    _, _, _, _, info = env.step(3)  # to the gate, which is closed on step 3
+    info = env.step(3)[4]  # to the gate, which is closed on step 3
     assert (info["option"]["duration"], info["option"]["termination"]) == (3, "left_initiation")
     assert info["option"]["available"][:, 0].tolist() == [True, True, False]
     assert env.action_masks().tolist() == [True, True, False, False, False, False, False]
-    _, _, _, _, info = env.step(STAY)
+    info = env.step(STAY)[4]
     assert info["option"]["available"][:, 0].tolist() == [True]
     assert env.action_masks().tolist() == [True, True, True, True, False, False, False]
     assert env.step(3)[4]["option"]["duration"] >= 3
@@ -86,11 +77,10 @@ def test_an_option_ends_before_what_is_masked_and_does_not_start_there(make: typ
 def test_a_slot_that_is_chosen_all_the_same_runs_a_legal_primitive() -> None:
     env = wrapped(Gate(), 6)
     env.step(3)
-    unwrapped = env.unwrapped
-    assert isinstance(unwrapped, Gate)
+    gate: Any = env.unwrapped
     for slot, ran in [(0, LEFT), (1, STAY), (2, LEFT), (5, LEFT)]:
-        unwrapped.x, unwrapped.time = GATE, 3
-        _, _, _, _, info = env.step(3 + slot)
+        gate.x, gate.time = GATE, 3
+        info = env.step(3 + slot)[4]
         assert (info["option"]["index"], info["option"]["actions"].tolist()) == (-1, [ran])
 
 
@@ -100,10 +90,10 @@ def test_no_algorithm_meets_an_illegal_move_through_a_slot(algorithm: str) -> No
 
     class Lenient(Gate):
         def step(self, action: int) -> Any:
-            if not self.action_masks()[action] and self.chosen >= 3:
+            if not self.legal()[action] and self.chosen >= 3:
                 raise ValueError("a slot ran an illegal move")
-            self.time += not self.action_masks()[action]
-            return super().step(action if self.action_masks()[action] else STAY)
+            self.time += not self.legal()[action]
+            return super().step(action if self.legal()[action] else STAY)
 
         chosen = 0
 
@@ -113,7 +103,7 @@ def test_no_algorithm_meets_an_illegal_move_through_a_slot(algorithm: str) -> No
             return super().step(action)
 
     env = Chosen(Lenient(), 2, gamma=0.9)
-    env.set_option(0, right())
+    env.set_option(0, steady_option(RIGHT, max_duration=10))
     deep: dict[str, Any] = {"gamma": 0.9, "seed": 0}
     replay = {**deep, "replay_buffer_class": OptionReplayBuffer, "learning_starts": 100, "buffer_size": 500}
     model: Any = {

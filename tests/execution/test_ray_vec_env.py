@@ -17,32 +17,30 @@ class RayError(Exception):
     """What all errors of Ray are."""
 
 
-ERRORS = (
-    "RayActorError", "NodeDiedError", "WorkerCrashedError", "ObjectLostError", "OutOfMemoryError", "GetTimeoutError",
-    "RayTaskError",
-)  # fmt: skip
-
-
 class Actor:
     """An actor that can be lost."""
 
-    def __init__(self, ray: "Ray", hosted: HostedEnvironments) -> None:
-        self.ray, self.hosted, self.lost = ray, hosted, False
+    def __init__(self, hosted: HostedEnvironments) -> None:
+        self.hosted, self.lost = hosted, False
         self.answer = SimpleNamespace(remote=lambda messages: lambda: self._answer(messages))
+        self.close = SimpleNamespace(remote=lambda: lambda: "closed")
 
     def _answer(self, messages: Any) -> Any:
         if self.lost:
-            raise self.ray.exceptions.RayActorError
+            raise Ray.exceptions.RayActorError
         return self.hosted.answer(messages)
 
 
 class Ray:
     """As much of Ray as `RayVecEnv` uses."""
 
-    exceptions = SimpleNamespace(RayError=RayError, **{name: type(name, (RayError,), {}) for name in ERRORS})
+    exceptions = SimpleNamespace(RayError=RayError, **{name: type(name, (RayError,), {}) for name in (
+        "RayActorError", "NodeDiedError", "WorkerCrashedError", "ObjectLostError", "OutOfMemoryError",
+        "GetTimeoutError", "RayTaskError",
+    )})  # fmt: skip
 
     def remote(self, cls: Any) -> Any:
-        make = SimpleNamespace(remote=lambda env_fns: Actor(self, cls(env_fns)))
+        make = SimpleNamespace(remote=lambda env_fns: Actor(cls(env_fns)))
         return SimpleNamespace(options=lambda **_: make)
 
     n_cores: float | None = 2.0
@@ -140,9 +138,8 @@ def test_environments_are_shared_out_among_actors(
     assert len(venv._actors) == len(venv._outboxes) == len(groups)
     assert (venv.waiting, venv.closed, venv.processes, venv.lost_actors) == (False, False, [], 0)
     env = CountingEnv()
-    assert (venv.num_envs, venv.observation_space, venv.action_space) == (
-        n_envs, env.observation_space, env.action_space,
-    )  # fmt: skip
+    assert (venv.observation_space, venv.action_space) == (env.observation_space, env.action_space)
+    assert venv.num_envs == n_envs
     first, later = ray.timeouts[: len(groups)], ray.timeouts[len(groups) :]
     assert (venv.step_timeout, set(first)) == (600.0, {None})  # to make them may take as long as it takes
     assert later == pytest.approx([600.0] * len(later), abs=5.0)
@@ -172,8 +169,6 @@ def test_seeds_after_losses_are_new_and_repeat(ray: Ray) -> None:
 def test_environments_are_closed_and_their_actors_ended_once(ray: Ray, running: bool) -> None:
     venv = RayVecEnv([CountingEnv] * 3, 2)
     actors = list(venv._actors)
-    for actor in actors:
-        actor.close = SimpleNamespace(remote=lambda: lambda: "closed")
     ray.is_initialized = lambda: running
     venv.close()
     venv.close()

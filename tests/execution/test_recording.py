@@ -13,12 +13,19 @@ import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
 from sb3_options.execution.recording import RecordTrajectories
 from sb3_options.experience import recording
+from sb3_options.experience.recording import TrajectoryRecorder
 from sb3_options.experience.trajectories import Trajectory
 from tests.support.helpers import CountingEnv, steady_option
 
 
 def states_of(segment: Trajectory) -> Any:
     return np.asarray(segment.states)[segment.visits].ravel()
+
+
+def recorder_in(env: OptionsWrapper) -> TrajectoryRecorder:
+    assert env._recording is not None
+    assert env._recording.recorder is not None
+    return env._recording.recorder
 
 
 def test_the_wrapper_records_primitive_steps_inside_options() -> None:
@@ -31,21 +38,19 @@ def test_the_wrapper_records_primitive_steps_inside_options() -> None:
     info = env.step(3)[4]
     drawn = int(info["option"]["actions"][0])
     trajectory = info["trajectory"]
-    assert trajectory.actions.tolist() == [1, 1, 1, 0, drawn]
-    assert trajectory.rewards.tolist() == [1, 2, 3, 4, 5]
-    assert np.asarray(trajectory.states).ravel().tolist() == [0, 1, 2, 3, 4, 5]
+    assert (trajectory.actions.tolist(), trajectory.rewards.tolist()) == ([1, 1, 1, 0, drawn], [1, 2, 3, 4, 5])
+    assert states_of(trajectory).tolist() == [0, 1, 2, 3, 4, 5]
 
 
 def test_recording_can_begin_and_end_at_any_time() -> None:
     env = OptionsWrapper(CountingEnv(truncate_at=4))
     env.reset(seed=0)
     env.step(0)
-    env.set_slots(record=True)
-    env.set_slots(record=True)
-    for _ in range(2):
-        env.step(1)
+    for action in (1, 1):
+        env.set_slots(record=True)
+        env.step(action)
     trajectory = env.step(0)[4]["trajectory"]
-    assert np.asarray(trajectory.states).ravel().tolist() == [1, 2, 3, 4]
+    assert states_of(trajectory).tolist() == [1, 2, 3, 4]
     assert (trajectory.actions.tolist(), trajectory.truncated) == ([1, 1, 0], True)
     env.set_slots(record=False)
     env.reset()
@@ -110,9 +115,7 @@ def test_what_never_ends_is_forgotten(caplog: pytest.LogCaptureFixture, monkeypa
     env = OptionsWrapper(CountingEnv(truncate_at=120))
     env.set_slots(record=True)
     env.reset(seed=0)
-    assert env._recording is not None
-    recorder = env._recording.recorder
-    assert recorder is not None
+    recorder = recorder_in(env)
     with caplog.at_level(logging.WARNING, "sb3_options"):
         infos = [env.step(0)[4] for _ in range(120)]
     assert not any("trajectory" in info for info in infos)
@@ -161,8 +164,7 @@ def test_another_way_to_cut_replaces_the_first() -> None:
     env = cut_at_peaks()
     env.step(0)
     env.set_slots(record=True, max_segment=10_000)  # the same again changes nothing
-    assert env._recording is not None
-    assert len(env._recording.recorder or ()) == 1
+    assert len(recorder_in(env)) == 1
     env.set_slots(record=True, max_segment=None)
     infos = [env.step(0)[4] for _ in range(11)]
     assert not any("segments" in info for info in infos)
@@ -170,16 +172,14 @@ def test_another_way_to_cut_replaces_the_first() -> None:
 
 
 def test_it_stands_beneath_a_monitor_and_is_no_part_of_the_spec() -> None:
-    env = OptionsWrapper(Monitor(gym.make("sb3_options/TwoRooms-v0")))
-    spec = env.spec
+    env = OptionsWrapper(Monitor(CountingEnv()))
     env.set_slots(record=True)
-    assert isinstance(env.env, Monitor)
-    assert isinstance(env.env.env, RecordTrajectories)
+    assert [type(each) for each in (env.env, env.env.env)] == [Monitor, RecordTrajectories]  # type: ignore[attr-defined]
     again = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
+    spec = again.spec
     again.set_slots(record=True)
     assert isinstance(again.env, RecordTrajectories)
-    assert spec is not None
-    assert again.spec == OptionsWrapper(gym.make("sb3_options/TwoRooms-v0")).spec
+    assert again.spec == spec is not None
 
 
 @pytest.mark.parametrize("name", ["trajectory", "segments"])

@@ -44,18 +44,24 @@ def advanced(env: Env, steps: int, random: np.random.Generator) -> list[Any]:
     return seen
 
 
+def begun(env: Env, steps: int = 0, seed: int = 0) -> Any:
+    """The environment, whose episode can be repeated, after some random steps."""
+    env = layers.prepare(env)
+    env.reset(seed=seed)
+    advanced(env, steps, np.random.default_rng(0))
+    return env
+
+
 def another(make: Callable[[], Env], states: list[layers.State]) -> tuple[Env, str | None]:
     """Another environment, which goes on with a state."""
-    env = layers.prepare(make())
-    env.reset(seed=123)
+    env = begun(make(), seed=123)
     return env, layers.set_states(env, states)
 
 
 @pytest.mark.parametrize("steps", [0, 1, 37, 150])
 @pytest.mark.parametrize("name", MAKERS)
 def test_goes_on_in_mid_episode(name: str, steps: int) -> None:
-    env = layers.prepare(MAKERS[name]())
-    env.reset(seed=3)
+    env = begun(MAKERS[name](), seed=3)
     random = np.random.default_rng(steps)
     advanced(env, steps, random)
     states, drawn = layers.states_of(env), random.bit_generator.state
@@ -113,24 +119,18 @@ class Growing(gym.Env[Any, Any]):
 
 @pytest.mark.parametrize("by_reward", [False, True])
 def test_what_survives_a_reset_is_seen(by_reward: bool) -> None:
-    env = layers.prepare(Growing(by_reward=by_reward))
-    env.reset(seed=0)
-    advanced(env, 3, np.random.default_rng(0))
+    env = begun(Growing(by_reward=by_reward), 3)
     assert another(lambda: Growing(by_reward=by_reward), layers.states_of(env))[1] == OTHERWISE
 
 
 def test_an_error_in_the_repetition_is_told() -> None:
-    env = layers.prepare(Growing())
-    env.reset(seed=0)
-    env.step(0)
-    assert another(lambda: Growing(fails=True), layers.states_of(env))[1] == ("repeating it raised RuntimeError: a bug")
+    env = begun(Growing(), 1)
+    assert another(lambda: Growing(fails=True), layers.states_of(env))[1] == "repeating it raised RuntimeError: a bug"
 
 
 def test_an_episode_without_end_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(repeating, "MAX_ACTIONS", 20)
-    env = layers.prepare(Growing())
-    env.reset(seed=0)
-    advanced(env, 20, np.random.default_rng(0))
+    env = begun(Growing(), 20)
     assert another(Growing, layers.states_of(env))[1] != "it has more than 20 actions"
     advanced(env, 100, np.random.default_rng(0))
     assert len(env._actions) == 21

@@ -131,7 +131,8 @@ class TestNetwork:
         assert option is not None
         return option
 
-    def test_learns_the_corridor(self) -> None:
+    def test_learns_the_corridor(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(creation, "NETWORK_UPDATES", 500)
         for seed in range(2):
             option = self.learn(seed)
             assert isinstance(option.option_policy, NetworkPolicy)  # chosen by `auto`: observations do not repeat
