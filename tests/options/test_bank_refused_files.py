@@ -31,8 +31,10 @@ def content(folder: Path) -> bytes:
     return (folder / "whole").read_bytes()
 
 
-def refused(path: Path, message: str, **changes: Any) -> None:
-    """Loading raises ValueError, and the bank keeps what it had."""
+def refused(path: Path, message: str, content: bytes | None = None, **changes: Any) -> None:
+    """Loading the file, with this content, raises ValueError, and the bank keeps what it had."""
+    if content is not None:
+        path.write_bytes(content)
     bank = empty_bank(**changes)
     if bank.max_options:
         bank.add(steady_option(), 0)
@@ -73,18 +75,16 @@ class TestDamage:
                 return (os.system, (f"touch {tmp_path / 'ran'}",))
 
         for hostile in (Hostile(), {"format": FILE_FORMAT, "bank": Hostile()}):
-            path = tmp_path / "hostile.safetensors"
-            path.write_bytes(pickle.dumps(hostile))
-            refused(path, "hostile.safetensors is no options file, or it is damaged")
+            content = pickle.dumps(hostile)
+            refused(tmp_path / "hostile", "hostile is no options file, or it is damaged", content)
             assert not (tmp_path / "ran").exists()
-            pickle.loads(path.read_bytes())  # the trap is real
+            pickle.loads(content)  # the trap is real
             assert (tmp_path / "ran").exists()
             (tmp_path / "ran").unlink()
 
     def test_another_safetensors_file(self, tmp_path: Path) -> None:
-        (tmp_path / "weights").write_bytes(to_safetensors({"w": np.zeros(3)}))
         message = r"weights is no options file, or it is damaged: its format is None, expected 'sb3-options 1'\.$"
-        refused(tmp_path / "weights", message)
+        refused(tmp_path / "weights", message, to_safetensors({"w": np.zeros(3)}))
 
 
 class TestOtherTasks:
@@ -107,9 +107,7 @@ class TestOtherTasks:
         ],
     )
     def test_refused(self, content: bytes, folder: Path, changes: dict[str, Any], message: str) -> None:
-        path = folder / "other"
-        path.write_bytes(content)
-        refused(path, message, **changes)
+        refused(folder / "other", message, content, **changes)
 
     def test_a_policy_of_features_fits_their_number_and_not_the_observations(self, tmp_path: Path) -> None:
         bank, region = empty_bank(), Region(np.array([[1.0, 2.0]]), np.ones(2), 0.5)
@@ -173,16 +171,12 @@ def tensor(name: str, array: Any) -> Any:
     ],
 )
 def test_a_strangers_file_that_makes_no_sense(content: bytes, folder: Path, change: Any, message: str) -> None:
-    path = folder / "stranger"
-    path.write_bytes(resealed(content, change))
-    refused(path, "stranger .*" + message)
+    refused(folder / "stranger", "stranger .*" + message, resealed(content, change))
     with pytest.raises(ValueError, match="stranger .*" + message):  # the same where there is no bank to fill
-        opened(path).options()
+        opened(folder / "stranger").options()
 
 
 @pytest.mark.parametrize("text", ["{", "[" * 100_000, "5"])
 def test_metadata_that_is_no_json(folder: Path, text: str) -> None:
-    path = folder / "nested"
     metadata = {"format": FILE_FORMAT, "bank": text, "digest": digest({"bank": text}, {})}
-    path.write_bytes(to_safetensors({}, metadata))
-    refused(path, "nested is no options file, or it is damaged: ")
+    refused(folder / "nested", "nested is no options file, or it is damaged: ", to_safetensors({}, metadata))

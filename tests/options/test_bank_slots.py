@@ -104,11 +104,10 @@ class TestSlots:
     def test_a_few_observations_are_looked_up_while_they_recur(self) -> None:
         bank = filled_bank()
         slot = bank.filled[0]
-        option = bank[slot]
-        assert option is not None
+        option: Any = bank[slot]
         assert bank.looks_up(slot, option, FEW)
         assert not bank.looks_up(slot, option, FEW + 1)
-        assert not bank.looks_up(slot, dataclasses.replace(option), 1), "the bank holds another one"  # type: ignore[type-var]  # a SubgoalOption
+        assert not bank.looks_up(slot, dataclasses.replace(option), 1), "the bank holds another one"
         for observation in OBSERVATIONS[:TRIAL]:
             bank.action(slot, observation)
         assert not bank.looks_up(slot, option, 1)

@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -43,11 +45,9 @@ class TestInitiationSet:
 
 
 class TestTransitions:
-    settings = OptionLearningSettings(initiation_steps=2, initiation_radius=0.0)
-
-    def of(self, *trajectories: LabelledTrajectory) -> list[tuple[float, int, float, float, bool]]:
+    def of(self, *trajectories: LabelledTrajectory, **settings: Any) -> list[tuple[float, int, float, float, bool]]:
         initiation = Region(np.array([[3.0], [4.0], [5.0]]), np.ones(1), 0.0)
-        steps = transitions_to(DOOR, initiation, trajectories, self.settings)
+        steps = transitions_to(DOOR, initiation, trajectories, OptionLearningSettings(**settings))
         if steps is None:
             return []
         places = flatten(steps.states).ravel()
@@ -69,9 +69,7 @@ class TestTransitions:
         ]
 
     def test_none(self) -> None:
-        assert self.of() == []
-        assert self.of(walk([0, 1, 2, 1])) == []
-        assert self.of(walk([5, 6])) == []
+        assert [self.of(*walks) for walks in ([], [walk([0, 1, 2, 1])], [walk([5, 6])])] == [[], [], []]
 
     def test_a_terminal_state_inside_the_initiation_set_is_as_bad_as_leaving(self) -> None:
         assert self.of(walk([4, 3], terminated=True)) == [(4, LEFT, -100.0, 3, True)]
@@ -79,8 +77,5 @@ class TestTransitions:
         assert self.of(walk([3, 4, 5], terminated=True))[-1] == (4, RIGHT, 0.0, 5, True)
 
     def test_the_reward_of_leaving_is_that_of_the_settings(self) -> None:
-        settings = OptionLearningSettings(leave_reward=-9.0)
-        initiation = Region(np.array([[3.0], [4.0]]), np.ones(1), 0.0)
-        steps = transitions_to(DOOR, initiation, [walk([3, 4, 5]), walk([3, 2])], settings)
-        assert steps is not None
-        assert steps.rewards.tolist() == [-1.0, 0.0, -9.0]
+        steps = self.of(walk([3, 4, 5]), walk([3, 2]), leave_reward=-9.0)
+        assert [reward for _, _, reward, _, _ in steps] == [-1.0, 0.0, -9.0]
