@@ -14,7 +14,7 @@ from gymnasium import wrappers
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-UNCHANGED = (
+UNCHANGED = (  # a ``step`` of their own, which returns the environment's step, apart from additions to ``info``
     Monitor,
     wrappers.HumanRendering,
     wrappers.OrderEnforcing,
@@ -23,7 +23,6 @@ UNCHANGED = (
     wrappers.RecordVideo,
     wrappers.RenderCollection,
 )
-"""Wrappers with a ``step`` of their own that returns the environment's step, apart from additions to ``info``."""
 
 
 class PrimitiveMonitor(Monitor[Any, Any]):

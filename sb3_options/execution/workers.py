@@ -75,15 +75,13 @@ class _WatchedPipe:
             self._lost(error)
 
     def recv(self) -> Any:
-        # Messages that it sent before it ended must still be read.
-        if self._sentinel is not None and not (
-            self._remote in wait([self._remote, self._sentinel]) or self._remote.poll()
-        ):
-            self._lost(None)
         try:
-            return self._remote.recv()
+            # Messages that it sent before it ended must still be read.
+            if self._sentinel is None or self._remote in wait([self._remote, self._sentinel]) or self._remote.poll():
+                return self._remote.recv()
         except (EOFError, ConnectionError) as error:
             self._lost(error)
+        self._lost(None)
 
     def close(self) -> None:
         self._remote.close()

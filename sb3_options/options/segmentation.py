@@ -12,14 +12,8 @@ def explained(trajectory: Trajectory, bank: OptionBank) -> tuple[IntArray, BoolA
     """Return how many steps of a trajectory each augmented action explains, and which actions are available.
 
     A primitive explains its own step. An option explains the steps to its subgoal if it may start there and its policy
-    takes the same primitive actions.
-
-    Args:
-        trajectory: Trajectory of T primitive steps.
-        bank: The options.
-
-    Returns:
-        Durations, (T, n_primitive + max_options), 0 for none; and masks at each of the T + 1 observations.
+    takes the same primitive actions. The numbers of steps have the shape (T, n_primitive + max_options), 0 for none.
+    The masks are those at each of the T + 1 observations.
     """
     masks = bank.available(trajectory.states)[trajectory.visits]
     durations = np.zeros((len(trajectory), masks.shape[1]), dtype=np.int64)

@@ -1,6 +1,7 @@
 import copy
 import hashlib
 from typing import Any
+from unittest.mock import MagicMock
 
 import gymnasium as gym
 import numpy as np
@@ -64,10 +65,7 @@ def test_a_map_that_refuses_made_up_observations_is_measured_at_the_first_real_o
 
 
 def test_a_map_that_refuses_real_observations() -> None:
-    def refuse(observations: Any) -> Any:
-        raise ValueError("no agent to be seen")
-
-    env = OptionsWrapper(CountingEnv(), feature_map=refuse)
+    env = OptionsWrapper(CountingEnv(), feature_map=MagicMock(side_effect=ValueError("no agent to be seen")))
     with pytest.raises(ValueError, match="no agent to be seen"):
         env.reset(seed=0)
 
@@ -96,10 +94,7 @@ def test_flat_size(space: Any, size: int) -> None:
 @pytest.mark.parametrize(
     ("space", "named"),
     [
-        (
-            spaces.Dict({"image": spaces.Box(0, 1, (2,)), "mission": spaces.Text(20)}),
-            r"\(mission: Text.*MiniGridWrapper",
-        ),
+        (spaces.Dict(image=spaces.Box(0, 1, (2,)), mission=spaces.Text(20)), r"\(mission: Text.*MiniGridWrapper"),
         (spaces.Tuple((spaces.Discrete(3), spaces.Box(0, 1, (2,)))), r"\(observation: Tuple.*FlattenObservation"),
         (spaces.Dict({"a": spaces.Discrete(2), "b": spaces.Dict({"c": spaces.Discrete(2)})}), r"\(b: Dict"),
     ],
