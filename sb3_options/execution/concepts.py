@@ -71,11 +71,8 @@ class ConceptsInObservation(gym.Wrapper[Any, Any, Any, Any], RecordConstructorAr
 class WithoutConcepts(CombinedExtractor):
     """Features extractor for a policy that must not see the concepts.
 
-    For ``policy_kwargs={"features_extractor_class": WithoutConcepts}``, with ``"MultiInputPolicy"``.
-
-    Args:
-        observation_space: Space of `ConceptsInObservation`.
-        **kwargs: Arguments of SB3's ``CombinedExtractor``.
+    For ``policy_kwargs={"features_extractor_class": WithoutConcepts}``, with ``"MultiInputPolicy"``. ``kwargs`` are
+    those of SB3's ``CombinedExtractor``.
     """
 
     def __init__(self, observation_space: spaces.Dict, **kwargs: Any) -> None:

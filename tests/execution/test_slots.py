@@ -1,5 +1,6 @@
 """What the slots of an environment hold, and what others ask and set."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -97,33 +98,30 @@ def test_an_environment_of_the_old_gym_is_to_be_converted() -> None:
         OptionsWrapper(type("OldEnv", (), {"action_space": spaces.Discrete(2)})())
 
 
-@pytest.mark.parametrize("gamma", [0.0, -0.1, 1.0001, float("nan"), float("inf")])
-def test_gamma(gamma: float) -> None:
-    with pytest.raises(ValueError, match=rf"^gamma must be in \(0, 1\], got {gamma}\.$"):
-        OptionsWrapper(CountingEnv(), gamma=gamma)
-
-
-def test_feature_map() -> None:
-    with pytest.raises(TypeError, match=r"^feature_map must be a function from a batch.+got 3\.$"):
-        OptionsWrapper(CountingEnv(), feature_map=3)  # type: ignore[arg-type]  # the point of the test
+NO_FEATURES: list[Callable[[Any], Any]] = [
+    lambda obs: np.zeros(len(obs)),
+    lambda obs: np.zeros((2, 1)),
+    lambda obs: 0.5,
+    lambda obs: np.zeros((len(obs), 0)),
+    lambda obs: np.full((len(obs), 1), "here"),
+    lambda obs: np.zeros((len(obs), 1), complex),
+    lambda obs: np.zeros((len(obs), len(obs))),
+]
 
 
 @pytest.mark.parametrize(
-    "feature_map",
+    ("name", "values", "message"),
     [
-        lambda obs: np.zeros(len(obs)),
-        lambda obs: np.zeros((2, 1)),
-        lambda obs: 0.5,
-        lambda obs: np.zeros((len(obs), 0)),
-        lambda obs: np.full((len(obs), 1), "here"),
-        lambda obs: np.zeros((len(obs), 1), complex),
-        lambda obs: np.zeros((len(obs), len(obs))),
+        ("gamma", [0.0, -0.1, 1.0001, float("nan"), float("inf")], r"^gamma must be in \(0, 1\], got"),
+        ("max_runs", [0, 1.5], "^max_runs must be a whole number, at least 1, .+ got"),
+        ("feature_map", [3], r"^feature_map must be a function from a batch.+got 3\.$"),
+        ("feature_map", NO_FEATURES, r"^feature_map must return real numbers of shape \(batch, d\), d ≥ 1; it gave"),
     ],
 )
-def test_a_feature_map_that_makes_no_features_is_refused(feature_map: Any) -> None:
-    text = r"^feature_map must return real numbers of shape \(batch, d\), d ≥ 1; it gave"
-    with pytest.raises(ValueError, match=text):
-        OptionsWrapper(CountingEnv(), feature_map=feature_map)
+def test_arguments_out_of_range(name: str, values: list[Any], message: str) -> None:
+    for value in values:
+        with pytest.raises(TypeError if value == 3 else ValueError, match=message):
+            OptionsWrapper(CountingEnv(), **{name: value})
 
 
 def test_masks_of_an_environment_without_options_warn_once(caplog: pytest.LogCaptureFixture) -> None:

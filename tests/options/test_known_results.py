@@ -72,9 +72,10 @@ def test_features_are_refused_unless_each_observation_has_a_row(n: int) -> None:
 
 def test_memory_includes_room_for_later_results(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(option, "CACHE_BYTES", 1_000_000)
-    known: KnownResults[np.float64] = KnownResults()
+    known = KnownResults[np.float64]()
     for number in range(2_000):
-        known(lambda observations: np.zeros((len(observations), 100)), np.array([[float(number)]]))
+        results = known(lambda seen: np.repeat(np.asarray(seen), 100, axis=1), np.array([[float(number)]]))
+        assert (results == number).all()
         assert known._results.nbytes <= 1_300_000
 
 

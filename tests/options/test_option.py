@@ -91,13 +91,6 @@ class TestSubgoalOption:
         assert answers == {True}
         assert len(asked) == 2  # subgoal and initiation set, once each
 
-    def test_what_is_remembered_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("sb3_options.options.option.CACHE_BYTES", 100)
-        option = subgoal_option(feature_map=flatten)
-        for place in np.linspace(0.0, 5.0, 1000):
-            assert option.termination(np.array([[place]])) == (2.5 <= place <= 3.5)
-            assert len(option._membership._rows) <= 14
-
     def test_without_a_feature_map(self) -> None:
         option = subgoal_option(name="door")
         message = r"^Option 'door' has no feature map: add it to the bank of an OptionsWrapper that has one"
