@@ -1,7 +1,8 @@
 """`OptionsVecEnv` against `OptionsWrapper`: each environment takes the same course, decision by decision."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -44,11 +45,21 @@ def arbitrary_option(n_primitive: int, salt: str, *, max_duration: int) -> Optio
     )
 
 
-def chosen(observations: Any, masks: Any, numbers: Any) -> npt.NDArray[np.int64]:
-    """An allowed action in each environment, which follows from its observation and a number."""
-    seen = digest(observations, "choice") + numbers
-    allowed = [np.flatnonzero(mask) for mask in masks]
-    return np.array([each[number % len(each)] for each, number in zip(allowed, seen, strict=True)])
+def steps(venv: VecEnv) -> Iterator[Any]:
+    """Observations, masks, actions, number of decisions so far, and what each step returns, without end.
+
+    The choice in an environment follows from its observation, mask and number of decisions.
+    """
+    venv.seed(5)
+    observations, n_decisions = venv.reset(), np.zeros(venv.num_envs, dtype=np.int64)
+    while True:
+        masks = np.stack(venv.env_method("action_masks"))
+        allowed, numbers = map(np.flatnonzero, masks), digest(observations, "choice") + 7 * n_decisions
+        actions = np.array([each[number % len(each)] for each, number in zip(allowed, numbers, strict=True)])
+        result = venv.step(actions)
+        yield observations, masks, actions, n_decisions, result
+        observations = result[0]
+        n_decisions = n_decisions + [info["option"]["termination"] != "running" for info in result[3]]
 
 
 class Decision(NamedTuple):
@@ -65,17 +76,11 @@ class Decision(NamedTuple):
 
 
 def decisions(venv: VecEnv, n_steps: int) -> list[list[Decision]]:
-    """Those of each environment: choices follow from its observation, mask and number of decisions."""
-    venv.seed(5)
-    observations: Any = venv.reset()
+    """Those of each environment."""
     made: list[list[Decision]] = [[] for _ in range(venv.num_envs)]
     cut: list[list[Trajectory]] = [[] for _ in range(venv.num_envs)]  # segments since the last decision
     begun: dict[int, npt.NDArray[np.bool_]] = {}  # by environment, the mask when its option was chosen
-    for _ in range(n_steps):
-        masks = np.stack(venv.env_method("action_masks"))
-        actions = chosen(observations, masks, [7 * len(of_env) for of_env in made])
-        later: Any
-        later, rewards, dones, infos = venv.step(actions)
+    for observations, masks, actions, _, (later, rewards, dones, infos) in islice(steps(venv), n_steps):
         for env, info in enumerate(infos):
             run = dict(info["option"])
             cut[env] += info.get("segments", ())
@@ -92,7 +97,6 @@ def decisions(venv: VecEnv, n_steps: int) -> list[list[Decision]]:
             made[env].append(
                 Decision(first, begun.pop(env, masks[env]), actions[env], rewards[env], arrived, dones[env], run, told)
             )
-        observations = later
     venv.close()
     return made
 
@@ -175,18 +179,13 @@ def test_a_replay_buffer_gets_the_same_rows() -> None:
         venv.env_method("set_slots", options=TWO_OPTIONS, report_availability=True, expect_empty=True)
         buffer = OptionReplayBuffer(400, venv.observation_space, venv.action_space, n_envs=1, n_steps=3)
         buffer.track_availability(4)
-        venv.seed(5)
-        observations, n_decisions = venv.reset(), 0
-        while not buffer.full:
-            action = chosen(observations, venv.env_method("action_masks"), n_decisions)
-            later: Any
-            later, rewards, dones, infos = venv.step(action)
-            n_decisions += infos[0]["option"]["termination"] != "running"
+        for observations, _, action, _, (later, rewards, dones, infos) in steps(venv):
             told = np.where(dones[:, None], infos[0].get("terminal_observation", 0), later)
             # What an algorithm without masks chooses while its environment waits does not count.
             given = action if infos[0]["option"].get("chosen") is None else np.zeros(1, dtype=np.int64)
             buffer.add(observations, told, given, rewards, dones, infos)
-            observations = later
+            if buffer.full:
+                break
         buffers.append(buffer)
     assert (buffers[0].actions >= 4).sum() > 10
     for one, other in zip(*(buffer._columns() for buffer in buffers), strict=True):
@@ -202,25 +201,19 @@ def test_a_rollout_buffer_learns_of_the_same_decisions() -> None:
     for venv in both(lambda: CountingEnv(4, terminate_at=17), n_envs=1):
         venv.env_method("set_slots", options=TWO_OPTIONS, expect_empty=True)
         buffer = Buffer(n_steps, venv.observation_space, venv.action_space, gamma=GAMMA, gae_lambda=0.8)
-        venv.seed(5)
-        observations: Any = venv.reset()
-        n_decisions, started = 0, np.ones(1)
+        started, taken = np.ones(1), steps(venv)
         kept: list[Any] = []
         for _ in range(10):
             buffer.reset()
-            while buffer.pos < n_steps:
-                masks = np.stack(venv.env_method("action_masks"))
-                action = chosen(observations, masks, n_decisions)
-                later, rewards, dones, infos = venv.step(action)
+            for observations, masks, action, n_decisions, (_, rewards, dones, infos) in islice(taken, n_steps):
                 run = OptionRun.from_info(infos[0])
                 buffer.expect(rewards, [run])
                 value = torch.as_tensor(digest(observations, "value") % 100 / 100.0)
-                chance = torch.tensor([float(n_decisions)])  # other numbers for other decisions
+                chance = torch.as_tensor(n_decisions.astype(np.float64))  # other numbers for other decisions
                 waiting = run.chosen is not None and run.duration > 1
                 given = np.zeros_like(action) if waiting else action  # without masks anything may be chosen there
                 buffer.add(observations, given[:, None], rewards, started, value, chance, action_masks=masks)
-                observations, started = later, dones.astype(float)
-                n_decisions += run.termination != "running"
+                started = dones.astype(float)
             buffer.compute_returns_and_advantage(torch.zeros(1), dones)
             (batch,) = buffer.get()
             order = np.argsort(batch.old_log_prob.numpy())
