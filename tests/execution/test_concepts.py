@@ -50,7 +50,7 @@ def test_discovers_a_doorway_that_no_observation_shows() -> None:
     policy: dict[str, Any] = {"features_extractor_class": WithoutConcepts}
     model = PPO("MultiInputPolicy", env, gamma=0.9, n_steps=256, seed=0, ent_coef=0.1, policy_kwargs=policy)
     callback = SubgoalDiscoveryCallback(FAST_DISCOVERY, {"policy_input": "features"}, max_new_options=1)
-    model.learn(4_000, callback=callback)
+    model.learn(1_500, callback=callback)
     assert [np.abs(found.subgoal - DOORWAY).max() <= 1 for found in callback.discoveries] == [True]
 
 

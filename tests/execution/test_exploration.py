@@ -85,7 +85,7 @@ def test_a_model_explores_with_the_share(algorithm: Any) -> None:
     env = ActionLog(wrapped)
     settings = TINY | RANDOM | {"learning_starts": 300}  # warm-up and ε
     model = algorithm("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, **settings)
-    model.learn(1200, callback=SubgoalDiscoveryCallback(max_new_options=0, use={"max_option_exploration": 0.25}))
+    model.learn(800, callback=SubgoalDiscoveryCallback(max_new_options=0, use={"max_option_exploration": 0.25}))
     assert_share(env.chosen, 0.25)
     assert cast("Any", model.action_space).filled == tuple(range(5))
 

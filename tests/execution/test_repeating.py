@@ -117,15 +117,13 @@ class Growing(gym.Env[Any, Any]):
         return np.array([0.0 if self.by_reward else self.resets], dtype=np.float32)
 
 
-@pytest.mark.parametrize("by_reward", [False, True])
-def test_what_survives_a_reset_is_seen(by_reward: bool) -> None:
-    env = begun(Growing(by_reward=by_reward), 3)
-    assert another(lambda: Growing(by_reward=by_reward), layers.states_of(env))[1] == OTHERWISE
-
-
-def test_an_error_in_the_repetition_is_told() -> None:
-    env = begun(Growing(), 1)
-    assert another(lambda: Growing(fails=True), layers.states_of(env))[1] == "repeating it raised RuntimeError: a bug"
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [({}, OTHERWISE), ({"by_reward": True}, OTHERWISE), ({"fails": True}, "repeating it raised RuntimeError: a bug")],
+)
+def test_what_survives_a_reset_is_seen(how: dict[str, bool], why: str) -> None:
+    env = begun(Growing(**how), 3)
+    assert another(lambda: Growing(**how), layers.states_of(env))[1] == why
 
 
 def test_an_episode_without_end_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,11 +152,10 @@ def test_an_episode_that_has_just_begun_is_repeated_by_its_seed(steps: int) -> N
     env = gym.make("CartPole-v1")
     env.reset(seed=5)
     layers.prepare(env, just_reset=True)
-    there = advanced(env, steps, np.random.default_rng(0))
+    assert len(advanced(env, steps, np.random.default_rng(0))) == steps
     copy, failure = another(MAKERS["CartPole"], layers.states_of(env))
     assert failure is None
     assert advanced(copy, 5, np.random.default_rng(1)) == advanced(env, 5, np.random.default_rng(1))
-    assert len(there) == steps
 
 
 class Asked(gym.Env[Any, Any]):
