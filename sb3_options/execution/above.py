@@ -60,7 +60,7 @@ def count_primitive_steps(outermost: gym.Env[Any, Any], options: gym.Env[Any, An
 def names_of_changing(outermost: gym.Env[Any, Any], options: gym.Env[Any, Any]) -> tuple[str, ...]:
     """Return the classes of the wrappers above the options that may change steps, the outermost first.
 
-    A class with a ``step`` of its own may, unless it is among `UNCHANGED` or has ``returns_steps_unchanged = True``.
+    A class with a ``step`` of its own may, unless it is among ``UNCHANGED`` or has ``returns_steps_unchanged = True``.
     """
     return tuple(
         type(env).__name__

@@ -96,7 +96,8 @@ class NetworkPolicy:
         return {"network_mean": self.mean, "network_std": self.std, **layers}
 
 
-OptionPolicy: TypeAlias = TabularPolicy | NetworkPolicy  # its "observations" are features if it acts on those
+OptionPolicy: TypeAlias = TabularPolicy | NetworkPolicy
+"""Policy of a `SubgoalOption`; its "observations" are features if it acts on those."""
 
 
 def from_arrays(

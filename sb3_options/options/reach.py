@@ -19,7 +19,7 @@ def reach_probabilities(
 
     The saved steps in which the policy's action was taken make a Markov chain: P(s) = Σ P(s') / (n + 1) over the n
     steps from s, with P = 1 at the subgoal and 0 where the option ends. The 1 is a step that fails
-    (`IMAGINED_FAILURES`). The option goes on in the states ``inside``, (m,), by default in all.
+    (``IMAGINED_FAILURES``). The option goes on in the states ``inside``, (m,), by default in all.
     """
     chosen = policy.actions(transitions.states)
     taken = chosen[transitions.began] == transitions.actions

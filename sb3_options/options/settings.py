@@ -6,7 +6,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from sb3_options.checked import Field, settings
 
-PolicyInput: TypeAlias = Literal["observation", "features"]  # a policy acts on the observation, or on its features φ
+PolicyInput: TypeAlias = Literal["observation", "features"]
+"""Input of a policy: the observation, or its features φ in concept space."""
 
 
 @settings
