@@ -23,9 +23,17 @@ LIBRARIES = ("stable_baselines3", "sb3_contrib", "sb3_options")
 """Class names of models whose whole state is known, and their libraries."""
 
 COUNTERS = (
-    *("num_timesteps", "_num_timesteps_at_start", "_episode_num", "_n_updates", "_n_calls"),
-    *("_current_progress_remaining", "exploration_rate"),
-    *("_steps_seen", "_untrained_steps", "_untrained_decisions", "_options_since"),  # of OptionDQN
+    "num_timesteps",
+    "_num_timesteps_at_start",
+    "_episode_num",
+    "_n_updates",
+    "_n_calls",
+    "_current_progress_remaining",
+    "exploration_rate",
+    "_steps_seen",
+    "_untrained_steps",
+    "_untrained_decisions",
+    "_options_since",
 )
 # Attributes of a logger, by their names in a checkpoint.
 LOGGED = {"values": "name_to_value", "counts": "name_to_count", "excluded": "name_to_excluded"}
