@@ -134,8 +134,10 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         seed = self.model.seed or 0
         check_training(self, None if self._installer is None else self._installer.model)
         self._start_counting()
-        callbacks, share = self.locals.get("callback"), self.use.max_option_exploration
-        self._installer = OptionInstaller(self.model, venv, callbacks, max_option_exploration=share)
+        use = self.use
+        self._installer = OptionInstaller(
+            self.model, venv, self.locals.get("callback"), max_option_exploration=use.max_option_exploration
+        )
         keeper.features = features_for(keeper.features, self._installer, self.embedding, seed, self.verbose)
         if keeper.features is not None:
             check_learned(self.settings, self.option_settings, own=bool(self.method or self.concepts.groups))

@@ -76,8 +76,9 @@ class PrimitiveStepsCallback(BaseCallback):
     of these count primitive steps.
 
     Args:
-        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps. Otherwise options make
-            rollouts longer, and updates rarer.
+        primitive_rollouts: Whether ``n_steps`` of an on-policy algorithm counts primitive steps. A rollout then has as
+            many decisions as took ``n_steps`` primitive steps in the previous rollout. Otherwise options make rollouts
+            longer, and updates rarer.
         verbose: As for any callback.
 
     Raises:

@@ -18,7 +18,7 @@ from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.option_run import OptionRun
 
 FILES = Path(__file__).with_name("rl_zoo3")  # of YAML files, one per algorithm: ``python -m sb3_options.zoo`` prints it
-PLAYERS = ("enjoy", "record_video", "push_to_hub")  #: The programs of rl-zoo3 that load a run.
+PLAYERS = ("enjoy", "record_video", "push_to_hub")  #: Programs of rl-zoo3 that load a run.
 
 
 class ZooOptionsWrapper(OptionsWrapper):

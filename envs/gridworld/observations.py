@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sb3_options.envs.gridworld import drawing
 from sb3_options.envs.gridworld.grid_map import GridMap
 
-MIN_IMAGE_PX = 36  # smallest side of an image that the convolutions of SB3's NatureCNN accept
+MIN_IMAGE_PX = 36  # smallest side of an image, px, that the convolutions of SB3's NatureCNN accept
 
 
 class OneHotView:

@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from stable_baselines3.common import vec_env as sb3
+from stable_baselines3.common import vec_env
 
 from sb3_options.embedding.settings import MapName
 from sb3_options.execution.above import Outermost
@@ -37,7 +37,7 @@ ATTRIBUTES = ("above", "bank", "slot_state", "traits")
 METHODS = ("action_masks", "available", "concept_features", "random_trajectories", "set_slots")
 
 
-class OptionsVecEnv(WithSlots, sb3.VecEnvWrapper):
+class OptionsVecEnv(WithSlots, vec_env.VecEnvWrapper):
     """Adds ``max_options`` option slots to the actions of any ``VecEnv``, whose environments all step at once.
 
     It is `OptionsWrapper` for environments that are no Gymnasium environments, such as those of EnvPool or JAX. φ,
@@ -73,7 +73,7 @@ class OptionsVecEnv(WithSlots, sb3.VecEnvWrapper):
 
     def __init__(
         self,
-        venv: sb3.VecEnv,
+        venv: vec_env.VecEnv,
         max_options: int = 4,
         *,
         gamma: float = 0.99,
@@ -81,8 +81,8 @@ class OptionsVecEnv(WithSlots, sb3.VecEnvWrapper):
         options_file: str | os.PathLike[str] | None = None,
         max_runs: int | None = None,
     ) -> None:
-        for changes in (sb3.VecFrameStack, sb3.VecNormalize, sb3.VecTransposeImage):
-            if sb3.is_vecenv_wrapped(venv, changes):
+        for changes in (vec_env.VecFrameStack, vec_env.VecNormalize, vec_env.VecTransposeImage):
+            if vec_env.is_vecenv_wrapped(venv, changes):
                 raise ValueError(
                     f"{changes.__name__} beneath OptionsVecEnv would be undone where options act: put "
                     "VecNormalize and VecTransposeImage above, and stack frames in the environment itself."
@@ -91,7 +91,7 @@ class OptionsVecEnv(WithSlots, sb3.VecEnvWrapper):
         actions = self._make_slots(venv, own_map, max_options, gamma, feature_map, options_file, max_runs)
         self._n_actions = self.n_primitive + max_options
         self._possible = frozenset(range(self._n_actions))
-        sb3.VecEnvWrapper.__init__(self, venv, action_space=actions)
+        vec_env.VecEnvWrapper.__init__(self, venv, action_space=actions)
         self._observations: Any = None  # of the environments
         self._shown: Any = None  # the same, but of a waiting one the observation in which its option was chosen
         self._running: dict[int, RunUnderWay] = {}  # by environment

@@ -60,9 +60,9 @@ def connect(address: str | None = None) -> Any:
     ray = require_ray()
     if ray.is_initialized():
         return ray
-    address = address or os.environ.get("RAY_ADDRESS", "local")
-    new = {"include_dashboard": False, "object_store_memory": OBJECT_STORE} if address == "local" else {}
-    ray.init(address=address, **new)
+    address = address or os.environ.get("RAY_ADDRESS")
+    new = {"include_dashboard": False, "object_store_memory": OBJECT_STORE} if address is None else {}
+    ray.init(address=address or "local", **new)
     return ray
 
 

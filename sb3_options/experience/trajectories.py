@@ -82,12 +82,19 @@ class EpisodeRecord(NamedTuple):
 @storable
 @dataclass(frozen=True, eq=False)
 class LabelledTrajectory:
-    """A trajectory with its features and its label, as discovery needs them."""
+    """A trajectory with its features and its label, as discovery needs them.
+
+    Attributes:
+        trajectory: The episode.
+        features: φ of ``trajectory.states``, shape (m, d).
+        success: Whether its bag is positive.
+        whole: The trajectory that it is a part of, if any; its arrays are views of that one's.
+    """
 
     trajectory: Trajectory
-    features: FloatArray  # φ of ``trajectory.states``, (m, d)
-    success: bool  # whether its bag is positive
-    whole: LabelledTrajectory | None = None  # that it is a part of; its arrays are views of that one's
+    features: FloatArray
+    success: bool
+    whole: LabelledTrajectory | None = None
 
     @cached_property
     def n_bytes(self) -> int:

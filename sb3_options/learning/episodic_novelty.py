@@ -36,7 +36,7 @@ class NovelD(RandomNetworkDistillation):
             before = as_array(self.errors(self.normalized(left)))
         errors = self.errors(self.normalized(arrived))
         bonuses = np.maximum(np.sqrt(as_array(errors)) - ALPHA * np.sqrt(before), 0.0)
-        self.learn(errors.mean())
+        self.learn(errors)
         each = zip(steps.envs.tolist(), steps.begins.tolist(), keys_of(left), keys_of(arrived), strict=True)
         for i, (env, begins, here, there) in enumerate(each):
             if begins or env not in self.seen:
@@ -76,7 +76,8 @@ class EllipticalBonus(NetworkNovelty):
         encoded = self.encoder(left), self.encoder(arrived)
         here, there = map(as_array, encoded)
         predicted = self.inverse_dynamics(torch.cat(encoded, dim=1))
-        self.learn(functional.cross_entropy(predicted, torch.as_tensor(steps.actions, dtype=torch.int64)))
+        actions = torch.as_tensor(steps.actions, dtype=torch.int64)
+        self.learn(functional.cross_entropy(predicted, actions, reduction="none"))
         bonuses = np.empty(len(rows))
         for i, (env, begins) in enumerate(zip(steps.envs.tolist(), steps.begins.tolist(), strict=True)):
             if begins or env not in self.inverses:

@@ -17,7 +17,11 @@ MASKED = -1e8  # logit of a masked action, as in sb3-contrib
 
 
 class QuickMaskableCategorical(stock.MaskableCategorical):
-    """Categorical distribution over the actions that masks allow, of unnormalised logits (batch, n_actions)."""
+    """Categorical distribution over the actions that masks allow, of unnormalised logits (batch, n_actions).
+
+    Raises:
+        ValueError: A logit is NaN or infinite.
+    """
 
     def __init__(self, logits: torch.Tensor) -> None:
         total = logits.logsumexp(dim=-1, keepdim=True)

@@ -25,7 +25,7 @@ NoveltyKind: TypeAlias = Literal["counts", "rnd", "noveld", "e3b"]
 
 CLIP = 5.0  # normalised observations are clipped to ± this (Burda et al. 2018, §2.4)
 SMALLEST = 1e-8  # added to variances before dividing by their root
-BINS = 20.0  #: Number of bins from the lowest to the highest value of a bounded number in a flat observation
+BINS = 20.0  #: Number of bins from the lowest to the highest value of a bounded number in a flat observation.
 LARGEST_SPAN = 1e6  # a wider range than this (the largest float, say) is no bound
 N_FEATURES = 64  # numbers that the random network makes of an observation
 HIDDEN = 128  # units of a hidden layer; the predictor has one more such layer
@@ -34,13 +34,21 @@ BATCH = 64  # bonuses are computed, and networks take a gradient step, for at le
 
 
 class Steps(NamedTuple):
-    """Primitive steps of several environments, those of each in order of time."""
+    """Primitive steps of several environments, those of each in order of time.
 
-    before: Observations  # acted in, (n, ...)
-    actions: IntArray  # primitive, (n,)
-    after: Observations  # arrived in, (n, ...)
-    envs: IntArray  # numbers of the environments, (n,)
-    begins: BoolArray  # whether the step is the first of its episode, (n,)
+    Attributes:
+        before: Observations acted in, (n, ...).
+        actions: Primitive actions, (n,).
+        after: Observations arrived in, (n, ...).
+        envs: Numbers of the environments, (n,).
+        begins: Whether the step is the first of its episode, (n,).
+    """
+
+    before: Observations
+    actions: IntArray
+    after: Observations
+    envs: IntArray
+    begins: BoolArray
 
     @classmethod
     def joined(cls, parts: Sequence[Steps]) -> Steps:
@@ -103,12 +111,14 @@ class NetworkNovelty:
     Flat observations are normalised by their running mean and standard deviation, and clipped (Burda et al. 2018).
     """
 
-    STATE: tuple[str, ...] = ("statistics", "loss", "_optimizer")
+    STATE: tuple[str, ...] = ("statistics", "loss", "_optimizer", "_n_learned", "_gradients")
 
     def __init__(self, size: int, trained: nn.Module) -> None:
         self.statistics = RunningMeanStd(shape=(size,))
         self.loss = math.nan
-        self._optimizer = torch.optim.Adam(trained.parameters(), lr=LEARNING_RATE, fused=True)
+        self._trained = list(trained.parameters())
+        self._optimizer = torch.optim.Adam(self._trained, lr=LEARNING_RATE, fused=True)
+        self._n_learned = 0  # observations that the gradients are of
 
     def records(self) -> dict[str, float]:
         """Return the last loss, or nothing before the first."""
@@ -119,12 +129,25 @@ class NetworkNovelty:
         scaled = (rows - self.statistics.mean) / np.sqrt(self.statistics.var + SMALLEST)
         return torch.as_tensor(np.clip(scaled, -CLIP, CLIP), dtype=torch.float32)
 
-    def learn(self, loss: torch.Tensor) -> None:
-        """Take a gradient step."""
-        self._optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
-        self._optimizer.step()
-        self.loss = loss.item()
+    @property
+    def _gradients(self) -> list[torch.Tensor | None]:
+        """Gradients of the observations since the last gradient step."""
+        return [parameter.grad for parameter in self._trained]
+
+    @_gradients.setter
+    def _gradients(self, gradients: list[torch.Tensor | None]) -> None:
+        for parameter, gradient in zip(self._trained, gradients, strict=True):
+            parameter.grad = gradient
+
+    def learn(self, losses: torch.Tensor) -> None:
+        """Add the gradients of the losses of observations, (n,), and take a step once they are of `BATCH` or more."""
+        (losses.sum() / BATCH).backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
+        self.loss = float(losses.detach().mean())
+        self._n_learned += len(losses)
+        if self._n_learned >= BATCH:
+            self._optimizer.step()
+            self._optimizer.zero_grad()
+            self._n_learned = 0
 
 
 class RandomNetworkDistillation(NetworkNovelty):
@@ -148,7 +171,7 @@ class RandomNetworkDistillation(NetworkNovelty):
         rows = obs_batch.flatten(steps.after)
         self.statistics.update(rows)
         errors = self.errors(self.normalized(rows))
-        self.learn(errors.mean())
+        self.learn(errors)
         return as_array(errors)
 
     def errors(self, normalized: torch.Tensor) -> torch.Tensor:

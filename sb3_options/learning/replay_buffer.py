@@ -20,15 +20,26 @@ Rows = dict[str, npt.NDArray[Any]]  # observations by key; the key is empty unle
 
 
 class OptionReplayBufferSamples(NamedTuple):
-    """`ReplayBufferSamples` with the additions for options."""
+    """`ReplayBufferSamples` with the additions for options.
 
-    observations: Any  #: (batch, ...)
-    actions: torch.Tensor  #: Augmented actions, (batch, 1).
-    next_observations: Any  #: (batch, ...)
-    dones: torch.Tensor  #: 1 where nothing follows; a timeout is not such an end. (batch, 1)
-    rewards: torch.Tensor  #: Σ γⁱ rᵢ over the k primitive steps, (batch, 1).
-    discounts: torch.Tensor  #: γᵏ, (batch, 1).
-    next_available: torch.Tensor | None  #: Slots that may start next, (batch, max_options); None if not tracked.
+    Attributes:
+        observations: (batch, ...).
+        actions: Augmented actions, (batch, 1).
+        next_observations: (batch, ...).
+        dones: 1 where nothing follows; a timeout is not such an end. (batch, 1).
+        rewards: Σ γⁱ rᵢ over the k primitive steps, (batch, 1).
+        discounts: γᵏ, (batch, 1).
+        next_available: Which option slots may start in the next observation, (batch, max_options); None if the buffer
+            does not track availability.
+    """
+
+    observations: Any
+    actions: torch.Tensor
+    next_observations: Any
+    dones: torch.Tensor
+    rewards: torch.Tensor
+    discounts: torch.Tensor
+    next_available: torch.Tensor | None
 
 
 class Growing(NamedTuple):
@@ -254,7 +265,7 @@ class OptionReplayBuffer(ReplayBuffer):
         if self.tracks_availability:
             self.next_available[rows] = False if available is None else available
         self._note_change(rows)
-        end = self.pos + (1 if isinstance(rows, int) else len(rows))
+        end = self.pos + np.size(rows)
         self.full = self.full or end >= self.buffer_size
         self.pos = end % self.buffer_size
 

@@ -101,10 +101,14 @@ class SMDPAdvantages(RolloutBuffer):
     SB3 discounts every transition with γ, and adds γ V(s) to the last reward of an episode that timed out. Here both
     discounts are γᵏ for a transition of k primitive steps. SB3 does not pass infos to the buffer. Hence a callback
     (`PrimitiveStepsCallback`, `SubgoalDiscoveryCallback`) calls `expect` before each `add`.
+
+    Attributes:
+        next_size: ``buffer_size`` of the rollout that begins with the next `reset`; None leaves it unchanged.
+        n_primitive_steps: Primitive steps per rollout and environment; None if rollouts have a number of decisions.
     """
 
-    next_size: int | None = None  #: ``buffer_size`` from the next `reset` on; None leaves it unchanged.
-    n_primitive_steps: int | None = None  #: Per rollout and environment; None if rollouts count decisions.
+    next_size: int | None = None
+    n_primitive_steps: int | None = None
 
     durations: FloatArray
     waits: bool = False  # whether environments wait for options to end, so that a row is a primitive step

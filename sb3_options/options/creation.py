@@ -36,7 +36,7 @@ def learn_option(
     whatever ``policy_input`` says. The option then lasts at most ``initiation_steps``, and has to promise to reach its
     subgoal within these: features that it does not see can make it go in a circle.
 
-    Return None if no saved trajectory leads to the subgoal, or if no state promises often enough to reach it.
+    Return None if no saved trajectory leads to the subgoal, or if no state promises to reach it in half of the runs.
     """
     trajectories = list(trajectories)
     if subgoal.group is not None:

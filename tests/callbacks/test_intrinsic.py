@@ -13,7 +13,7 @@ from gymnasium import spaces
 from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
-from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from sb3_options import OptionDQN, OptionsWrapper
@@ -168,12 +168,35 @@ def test_novelty_is_asked_about_each_primitive_step(options: bool, normalized: b
         assert sum(begins) > 3
 
 
-def test_networks_learn_from_64_primitive_steps_at_a_time_and_from_those_left_in_a_rollout() -> None:
+def test_lost_steps_are_none() -> None:
+    class Loses(VecEnvWrapper):
+        n = 0
+
+        def reset(self) -> Any:
+            return self.venv.reset()
+
+        def step_wait(self) -> Any:
+            observations, rewards, dones, infos = self.venv.step_wait()
+            self.n += 1
+            if self.n == 7:
+                infos[1]["lost"] = True
+            return observations, rewards, dones, infos
+
+    venv, logs = logged(2, options=False)
+    bonus, seen = IntrinsicRewardCallback(), Seen()
+    bonus.novelty = seen  # type: ignore[assignment]  # behaves as one
+    make(PPO, Loses(venv)).learn(128, callback=bonus)
+    for i, log in enumerate(logs):
+        actions = [step.action for step in log.log]
+        assert [action for env, _, action, _ in seen.steps if env == i] == actions[: 6 if i else None] + actions[7:] * i
+
+
+def test_networks_learn_as_often_whatever_the_length_of_a_rollout() -> None:
     bonus = IntrinsicRewardCallback("rnd")
     make(PPO, Corridor(), n_steps=65, batch_size=65).learn(4 * 65, callback=bonus)
     assert isinstance(bonus.novelty, RandomNetworkDistillation)
     (moments, *_) = bonus.novelty._optimizer.state.values()
-    assert int(moments["step"]) == 4 * 2
+    assert (int(moments["step"]), bonus.novelty._n_learned) == (4, 1)  # steps for 64, 65, 65 and 65 observations
 
 
 def test_steps_before_an_error_count() -> None:

@@ -211,7 +211,7 @@ def test_survives_saving_and_loading(rng: np.random.Generator) -> None:
 def test_what_it_cannot_store_is_refused() -> None:
     with pytest.raises(ValueError, match=r"OptionReplayBuffer needs optimize_memory_usage=False"):
         OptionReplayBuffer(10, spaces.Discrete(3), spaces.Discrete(2), optimize_memory_usage=True)
-    settings: dict[str, Any] = {"gamma": GAMMA, "replay_buffer_class": OptionReplayBuffer, "buffer_size": 100}
+    settings: dict[str, Any] = {"gamma": GAMMA, "replay_buffer_class": OptionReplayBuffer, "buffer_size": np.int64(100)}
     bare = DQN("MlpPolicy", gym.make("CartPole-v1"), **settings)
     with pytest.raises(ValueError, match=r'There is no info\["option"\]: wrap the environment in OptionsWrapper'):
         bare.learn(10)

@@ -113,15 +113,24 @@ class DiscoveryMethod(Protocol):
 
 
 class Method(DiscoveryMethod):
-    """A `DiscoveryMethod` of the library, with the further interface that ``Discovery`` uses."""
+    """A `DiscoveryMethod` of the library, with the further interface that ``Discovery`` uses.
+
+    Attributes:
+        needs_success: Whether it proposes nothing before a success.
+        searches: Whether it searches the database now and then (`is_due`), with its own filters; otherwise it notes
+            every trajectory.
+        again_after: A withdrawn subgoal may come again once the number of trajectories has grown by this factor.
+        learns_from_failures: Whether a failure may lead to a proposal.
+        min_successes: Number of successful trajectories that it waits for.
+    """
 
     STATE: ClassVar[tuple[str, ...]] = ()
 
-    needs_success: bool = False  # it proposes nothing before a success
-    searches: bool = False  # the database now and then (`is_due`), with its own filters, or it notes every trajectory
-    again_after: float = 2.0  # a withdrawn subgoal may come again when there are this many times as many trajectories
-    learns_from_failures: bool = True  # a failure may lead to a proposal
-    min_successes: int = 0  # successful trajectories that it waits for
+    needs_success: bool = False
+    searches: bool = False
+    again_after: float = 2.0
+    learns_from_failures: bool = True
+    min_successes: int = 0
     _cost: float = 0.0
 
     def begin(self, settings: DiscoverySettings, filters: Filters, groups: Sequence[FeatureGroup]) -> None:
