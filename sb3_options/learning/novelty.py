@@ -140,7 +140,7 @@ class NetworkNovelty:
             parameter.grad = gradient
 
     def learn(self, losses: torch.Tensor) -> None:
-        """Add the gradients of the losses of observations, (n,), and take a step once they are of `BATCH` or more."""
+        """Add the gradients of the losses of observations, (n,), and take a step once they are of ``BATCH`` or more."""
         (losses.sum() / BATCH).backward()  # type: ignore[no-untyped-call]  # torch ships no annotation for it
         self.loss = float(losses.detach().mean())
         self._n_learned += len(losses)
