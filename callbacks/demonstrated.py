@@ -20,7 +20,7 @@ FAILURES = 20  # most episodes of a random policy
 def labelled(
     given: Iterable[Trajectory] | str | os.PathLike[str], venv: VecEnv, success: SuccessRule
 ) -> list[tuple[Trajectory, bool]]:
-    """Return demonstrations, or those in a file, and which of them succeeded. Refuse misfits, and if none did."""
+    """Return the demonstrations, and which succeeded. Refuse any that do not fit, and a set without a success."""
     everything = load_demonstrations(given) if isinstance(given, str | os.PathLike) else list(given)
     traits: Traits = venv.get_attr("traits", [0])[0]
     for number, trajectory in enumerate(everything):

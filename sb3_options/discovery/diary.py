@@ -31,7 +31,7 @@ class Diary:
     successes: int = 0
     terminated: int = 0
     reported: bool = False  # whether the environment reports success itself, in ``info["is_success"]``
-    lowest: float = float("inf")  # return
+    lowest: float = float("inf")  # lowest return of a trajectory
     highest: float = float("-inf")
     steps: int = 0
     spent: float = 0.0  # nominal seconds of discovery
