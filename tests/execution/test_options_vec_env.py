@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 import torch
 from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper, VecNormalize
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionReplayBuffer, OptionRolloutBuffer, OptionsVecEnv, OptionsWrapper
@@ -316,6 +316,46 @@ def test_an_entry_of_the_environment_where_trajectories_are_written_is_refused_a
     venv.reset()
     with pytest.raises(ValueError, match=r'info\["trajectory"\] of its own'):
         venv.step(np.array([0]))
+
+
+def test_a_slot_that_may_not_start_runs_a_primitive() -> None:
+    single, together = both(small_rooms)
+    for venv in (single, together):
+        venv.seed(5)
+        venv.reset()
+    n = together.n_primitive
+    for actions in ([n + 3, n + 2], [n + 1, n + 3]):
+        one, other = single.step(np.array(actions)), together.step(np.array(actions))
+        assert equal(one[0], other[0])
+        assert [info["option"]["actions"].tolist() for info in other[3]] == [
+            [slot % n] for slot in np.array(actions) - n
+        ]
+
+
+def test_random_trajectories_are_truncated_and_leave_the_slots_as_they_were() -> None:
+    _, venv = both(small_rooms)
+    trajectories = venv.random_trajectories(3, 4, seed=0)
+    assert [len(each) for each in trajectories] == [4, 4, 4]
+    assert all(each.truncated and not each.terminated for each in trajectories)
+    assert len({tuple(each.actions) for each in trajectories}) == 3
+    assert not venv.slot_state.record
+
+
+def test_features_of_the_environments_themselves_are_the_default() -> None:
+    class Mapped(VecEnvWrapper):
+        def concept_features(self, observations: Any) -> Any:
+            return flatten(observations)[:, :2] * 3.0
+
+        def reset(self) -> Any:
+            return self.venv.reset()
+
+        def step_wait(self) -> Any:
+            return self.venv.step_wait()
+
+    bare = DummyVecEnv([lambda: CountingEnv(3)])
+    venv = OptionsVecEnv(Mapped(bare), gamma=GAMMA)
+    first = venv.reset()
+    np.testing.assert_array_equal(venv.concept_features(first), flatten(first)[:, :2] * 3.0)
 
 
 def test_sums_of_whole_rewards_are_not_cut() -> None:
