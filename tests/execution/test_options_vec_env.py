@@ -332,6 +332,16 @@ def test_a_slot_that_may_not_start_runs_a_primitive() -> None:
         ]
 
 
+def test_an_option_that_has_run_often_enough_runs_a_primitive() -> None:
+    _, venv = both(small_rooms, n_envs=1, max_runs=1)
+    venv.bank.add(steady_option(1, max_duration=2))
+    venv.reset()
+    chosen = np.array([venv.n_primitive])
+    runs = [venv.step(chosen)[3][0]["option"] for _ in range(3)]
+    assert [(run["index"], run["duration"]) for run in runs] == [(-1, 0), (0, 2), (-1, 1)]
+    assert venv.env_method("get_wrapper_attr", "spec", indices=[0]) == [None]  # a method of the environments
+
+
 def test_random_trajectories_are_truncated_and_leave_the_slots_as_they_were() -> None:
     _, venv = both(small_rooms)
     trajectories = venv.random_trajectories(3, 4, seed=0)
