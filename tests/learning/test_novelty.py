@@ -64,6 +64,7 @@ def test_what_can_be_counted_as_it_is(space: Any, table_like: bool) -> None:
 def test_the_error_falls_where_the_predictor_has_been() -> None:
     rng = np.random.default_rng(0)
     rnd = novelty.RandomNetworkDistillation(8)
+    assert rnd.records() == {}
     known, new = np.eye(8)[rng.integers(4, size=(400, 16))], np.eye(8)[4:]
     first = visit(rnd, known[0])
     for batch in known[1:]:
