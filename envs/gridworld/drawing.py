@@ -5,9 +5,7 @@ from numpy.typing import NDArray
 
 from sb3_options.envs.gridworld.grid_map import Cell, GridMap
 
-RENDER_CELL_PX = (
-    32  # side of a cell in a rendered picture, px: a multiple of 16, because video encoders pad other sizes
-)
+RENDER_CELL_PX = 32  # side of a rendered cell, px: a multiple of 16, because video encoders pad other sizes
 
 Colour = tuple[int, int, int]
 
