@@ -37,8 +37,9 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
     Returns:
         By entrant: ``n_runs``; ``found``, subgoals a run; ``near``, the share of them at a bottleneck; ``reached``, the
         share of option runs that reach their subgoal; ``same`` and ``moved``, each with ``steps`` to the criterion and
-        to the ``first_success`` (interquartile means), ``never``, how many runs did not meet the criterion,
-        ``of_primitives``, the ratio to the steps of `NONE`, and the ratios to the other `RIVALS`;
+        to the ``first_success`` and ``second_success`` in training (interquartile means), ``never``, how many runs did
+        not meet the criterion, ``of_primitives``, the ratio to the steps of `NONE`, and the ratios to the other
+        `RIVALS`;
         ``discovery_seconds`` and ``discovery_share`` of training in the same task, in processor time. Each with its 95
         % interval; None where there is nothing to estimate.
     """
@@ -66,7 +67,7 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
             taken = steps[entrant][phase]
             summary[entrant][phase] = {
                 "steps": iqm_interval(taken)._asdict(),
-                "first_success": _first_success([run[phase] for run in of], n_timesteps),
+                **successes_of([run[phase] for run in of], n_timesteps),
                 "never": sum(run[phase]["steps"] is None for run in of),
                 **{name: _ratio(steps, phase, entrant, rival) for name, rival in RIVALS.items()},
             }
@@ -143,11 +144,17 @@ def steps_of(trained: Result, n_timesteps: int) -> float:
     return float(n_timesteps if trained["steps"] is None else trained["steps"])
 
 
-def _first_success(trained: Sequence[Result], n_timesteps: int) -> dict[str, float] | None:
-    """Primitive steps to the first success in training; None of results from before these were noted."""
-    if not all("successes" in each for each in trained):
-        return None
-    return iqm_interval(_column(trained, lambda each: (each["successes"] or [n_timesteps])[0]))._asdict()
+def successes_of(trained: Sequence[Result], n_timesteps: int) -> dict[str, dict[str, float] | None]:
+    """Primitive steps to the first two successes in training, or to the criterion where it was met before.
+
+    None of results from before these were noted.
+    """
+    found: dict[str, dict[str, float] | None] = {"first_success": None, "second_success": None}
+    if all("successes" in each for each in trained):
+        for i, name in enumerate(found):
+            steps = [[*each["successes"], *[steps_of(each, n_timesteps)] * 2][i] for each in trained]
+            found[name] = iqm_interval(np.array(steps, dtype=np.float64))._asdict()
+    return found
 
 
 def _both(run: Result, what: str) -> float:

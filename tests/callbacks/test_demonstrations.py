@@ -34,6 +34,7 @@ from tests.support.documents import ROOT, python_of
 from tests.support.helpers import equal, table_option, trajectory_of
 from tests.support.sb3_helpers import DOORWAY, FAST_DISCOVERY, make_optioned_rooms, optioned_rooms, small_rooms
 
+GUIDE = ROOT / "docs" / "guide" / "demonstrations.md"
 WIDTH = 9
 UP, DOWN, LEFT, RIGHT = range(4)
 
@@ -518,11 +519,29 @@ def test_the_guide_reads_a_data_set_of_minari(
     spaces = {"observation_space": rooms.observation_space, "action_space": rooms.action_space}
     with warnings.catch_warnings(action="ignore"):  # it asks for an author, a licence and the like
         minari.create_dataset_from_buffers("rooms/expert-v0", episodes, **spaces)
-    (program,) = python_of(ROOT / "docs" / "guide" / "demonstrations.md", "py")
+    _, program = python_of(GUIDE, "py")
     read: dict[str, Any] = {}
     exec(program, read)
     assert [each.visits.tolist() for each in read["shown"]] == [each.visits.tolist() for each in shown]
     assert len(discover(read["shown"], optioned_rooms(), settings=FAST_DISCOVERY))
+
+
+def test_a_person_plays_as_in_the_guide(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With real events in the queue of a window that nobody sees."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame = pytest.importorskip("pygame", reason="needs MiniGrid: pip install .[minigrid]")
+    program, _ = python_of(GUIDE, "py")
+    pygame.display.init()
+    to_goal = [pygame.K_UP, pygame.K_a, pygame.K_UP, pygame.K_RIGHT, pygame.K_UP, pygame.K_UP]
+    for key in to_goal:
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+    played: dict[str, Any] = {}
+    with warnings.catch_warnings(action="ignore"):  # pygame looks for fonts that this machine may lack
+        exec(program.replace("DoorKey-5x5", "Empty-5x5").replace("episodes=5", "episodes=1"), played)
+    played["env"].close()
+    (shown,) = played["shown"]
+    assert shown.is_success
+    assert shown.actions.tolist() == [2, 2, 1, 2, 2]  # K_a means nothing
 
 
 def test_a_file_holds_the_same_trajectories_and_a_damaged_one_is_refused(
