@@ -44,7 +44,8 @@ $(READY): pyproject.toml constraints.txt
 
 $(TRAINS): pyproject.toml constraints.txt
 	test -d .venv || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[train,contrib]'
+	{ test $(READY) -nt pyproject.toml && test $(READY) -nt constraints.txt; } || \
+		$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[train,contrib]'
 	touch $(TRAINS)
 
 upgrade:  ## Newest versions that pyproject.toml allows, into constraints.txt
