@@ -67,7 +67,7 @@ def summarise(runs: Mapping[str, Sequence[Result]], n_timesteps: int) -> dict[st
             taken = steps[entrant][phase]
             summary[entrant][phase] = {
                 "steps": iqm_interval(taken)._asdict(),
-                **successes_of([run[phase] for run in of], n_timesteps),
+                **_successes([run[phase] for run in of], n_timesteps),
                 "never": sum(run[phase]["steps"] is None for run in of),
                 **{name: _ratio(steps, phase, entrant, rival) for name, rival in RIVALS.items()},
             }
@@ -144,7 +144,7 @@ def steps_of(trained: Result, n_timesteps: int) -> float:
     return float(n_timesteps if trained["steps"] is None else trained["steps"])
 
 
-def successes_of(trained: Sequence[Result], n_timesteps: int) -> dict[str, dict[str, float] | None]:
+def _successes(trained: Sequence[Result], n_timesteps: int) -> dict[str, dict[str, float] | None]:
     """Primitive steps to the first two successes in training, or to the criterion where it was met before.
 
     None of results from before these were noted.
@@ -152,7 +152,7 @@ def successes_of(trained: Sequence[Result], n_timesteps: int) -> dict[str, dict[
     found: dict[str, dict[str, float] | None] = {"first_success": None, "second_success": None}
     if all("successes" in each for each in trained):
         for i, name in enumerate(found):
-            steps = [[*each["successes"], *[steps_of(each, n_timesteps)] * 2][i] for each in trained]
+            steps = [min([steps_of(each, n_timesteps), *each["successes"][i : i + 1]]) for each in trained]
             found[name] = iqm_interval(np.array(steps, dtype=np.float64))._asdict()
     return found
 

@@ -526,22 +526,30 @@ def test_the_guide_reads_a_data_set_of_minari(
     assert len(discover(read["shown"], optioned_rooms(), settings=FAST_DISCOVERY))
 
 
-def test_a_person_plays_as_in_the_guide(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With real events in the queue of a window that nobody sees."""
+def test_a_person_plays_as_in_the_guide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With real events in the queue of a window that nobody sees; the last one closes it."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.chdir(tmp_path)
     pygame = pytest.importorskip("pygame", reason="needs MiniGrid: pip install .[minigrid]")
+    actions = pytest.importorskip("minigrid.core.actions").Actions
     program, _ = python_of(GUIDE, "py")
+    assert "DoorKey-5x5" in program
+    assert "episodes=5" in program
     pygame.display.init()
-    to_goal = [pygame.K_UP, pygame.K_a, pygame.K_UP, pygame.K_RIGHT, pygame.K_UP, pygame.K_UP]
-    for key in to_goal:
+    for key in [pygame.K_UP, pygame.K_a, pygame.K_UP, pygame.K_RIGHT, pygame.K_UP, pygame.K_UP]:
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
     played: dict[str, Any] = {}
     with warnings.catch_warnings(action="ignore"):  # pygame looks for fonts that this machine may lack
         exec(program.replace("DoorKey-5x5", "Empty-5x5").replace("episodes=5", "episodes=1"), played)
-    played["env"].close()
-    (shown,) = played["shown"]
+    (shown,) = load_demonstrations("played.safetensors")
     assert shown.is_success
     assert shown.actions.tolist() == [2, 2, 1, 2, 2]  # K_a means nothing
+    with pytest.raises(SystemExit, match="closed"):
+        played["player"](None)
+    played["task"].close()
+    named = [played["KEYS"][key] for key in (pygame.K_LEFT, pygame.K_RIGHT, pygame.K_UP, pygame.K_p, pygame.K_SPACE)]
+    assert named == [actions.left, actions.right, actions.forward, actions.pickup, actions.toggle]
 
 
 def test_a_file_holds_the_same_trajectories_and_a_damaged_one_is_refused(

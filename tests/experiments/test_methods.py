@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import pytest
 
 from experiments.common.gridworlds import rooms_of
@@ -57,6 +58,14 @@ class TestSummary:
         assert cut["moved"]["of_primitives"]["mean"] == pytest.approx(2000 / (4000 + 6000))
         assert summary[NONE]["near"] is None
         assert summary[NONE]["same"]["of_primitives"] is None
+
+    def test_a_success_after_the_criterion_counts_as_the_criterion(self) -> None:
+        runs = [result(1000), result(1000), result(None)]
+        for run, successes in zip(runs, ([100, 1200], [400], []), strict=True):
+            run["same"]["successes"] = run["moved"]["successes"] = successes
+        same = summarise({NONE: runs}, 5000)[NONE]["same"]
+        assert same["first_success"]["mean"] == pytest.approx(np.mean([100, 400, 5000]))
+        assert same["second_success"]["mean"] == pytest.approx(np.mean([1000, 1000, 5000]))
 
 
 def test_the_race_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
