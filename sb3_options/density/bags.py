@@ -51,8 +51,11 @@ class Bags:
                     f"{name} must have shape (instances, features), at least one of each and as many features as "
                     f"{names[0]}, {arrays[0].shape}, got {array.shape}"
                 )
-            check_finite(name, array)
-        return cls(torch.from_numpy(np.concatenate(arrays)), tuple(map(len, arrays)), len(positive))
+        instances = np.concatenate(arrays)
+        if not all_finite(instances):  # checked at once: there may be a thousand bags
+            for name, array in zip(names, arrays, strict=True):
+                check_finite(name, array)
+        return cls(torch.from_numpy(instances), tuple(map(len, arrays)), len(positive))
 
     @property
     def n_features(self) -> int:
@@ -117,8 +120,13 @@ def real_array(name: str, values: ArrayLike) -> FloatArray:
 
 def check_finite(name: str, features: FloatArray) -> None:
     """Refuse NaN, infinite features, and features whose squares overflow."""
-    if not np.abs(features).max(initial=0) <= LARGEST_FEATURE:  # nor if it is NaN
+    if not all_finite(features):
         raise ValueError(f"{name} holds NaN, or features beyond ±{LARGEST_FEATURE:g}, whose squares overflow")
+
+
+def all_finite(features: FloatArray) -> bool:
+    """Whether no feature is NaN, infinite, or too large to square."""
+    return bool(features.max(initial=0) <= LARGEST_FEATURE and features.min(initial=0) >= -LARGEST_FEATURE)
 
 
 def positive_scale(scale: object) -> bool:

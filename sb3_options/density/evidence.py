@@ -80,8 +80,10 @@ class Evidence:
 
     def scaled(self, instances: FloatArray) -> FloatArray:
         """Convert features (n, d) to scaled features (n, m)."""
-        scaled: FloatArray = (instances - self.origin) * self.scale
-        reach = np.abs(scaled).max(initial=0)
+        # In torch: numpy takes three times as long to subtract from rows of few features.
+        origin, scale = torch.from_numpy(self.origin), torch.from_numpy(self.scale)
+        scaled: FloatArray = torch.from_numpy(instances).sub(origin).mul_(scale).numpy()
+        reach = max(scaled.max(initial=0), -scaled.min(initial=0))
         if reach > FARTHEST:
             raise ValueError(
                 f"features reach {reach:.1g} widths from their middle, at most {FARTHEST:g} can be searched: "
