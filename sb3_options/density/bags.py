@@ -3,11 +3,11 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from sb3_options.density.arrays import BoolArray, FloatArray, IntArray, row_keys
@@ -44,14 +44,14 @@ class Bags:
         names += [f"negative bag {i}" for i in range(len(negative))]
         if not names:
             raise ValueError("there are no bags: pass at least one positive or negative bag")
-        arrays = [real_array(name, bag) for name, bag in zip(names, (*positive, *negative), strict=True)]
+        arrays = [_real(name, bag) for name, bag in zip(names, (*positive, *negative), strict=True)]
         for name, array in zip(names, arrays, strict=True):
             if array.ndim != 2 or array.size == 0 or array.shape[1:] != arrays[0].shape[1:]:
                 raise ValueError(
                     f"{name} must have shape (instances, features), at least one of each and as many features as "
                     f"{names[0]}, {arrays[0].shape}, got {array.shape}"
                 )
-        instances = np.concatenate(arrays)
+        instances = np.concatenate(arrays, dtype=np.float64)
         if not all_finite(instances):  # checked at once: there may be a thousand bags
             for name, array in zip(names, arrays, strict=True):
                 check_finite(name, array)
@@ -112,10 +112,14 @@ def first_rows(points: FloatArray) -> IntArray:
 
 def real_array(name: str, values: ArrayLike) -> FloatArray:
     """Convert to double precision. Refuse masked or complex values, which would silently lose information."""
+    return _real(name, values).astype(np.float64)
+
+
+def _real(name: str, values: ArrayLike) -> NDArray[Any]:
     array = np.asarray(values)
     if array.dtype.kind not in "biuf" or np.ma.is_masked(values):
         raise ValueError(f"{name} must hold real numbers, none of them masked, got {array.dtype}")
-    return array.astype(np.float64)
+    return array
 
 
 def check_finite(name: str, features: FloatArray) -> None:
