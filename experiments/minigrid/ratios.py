@@ -85,16 +85,23 @@ FRESH = {
 """Tasks that were run again on seeds which nothing had been chosen or seen on, and the files of agents with options and
 of their rivals, which end in -fresh."""
 
-FEATURES = {"four rooms": "four-rooms", "six rooms": "six-rooms", "key corridors": "key-corridor"}
+THREE = {"four rooms": "four-rooms", "six rooms": "six-rooms", "key corridors": "key-corridor"}
 PAIRED = {
-    "features": FEATURES,
-    "proposed": FEATURES,
+    "features": {**THREE, "DoorKey 8x8": "door-key"},
+    "proposed": THREE,
     "bonuses": {"four rooms": "four-rooms", "key corridors": "key-corridor"},
     "twenty": {"four rooms": "four-rooms"},
     "tuned": {"four rooms": "four-rooms"},
 }
 """Tasks where agents see φ beside the observation, options have proposed groups, rivals have other bonuses, seeds are
 twenty, or every agent's settings were tuned, and the files of these agents, by the ending of their names."""
+
+OURS = {"options": "discovered, "}
+COMPARED = {
+    "features": {**OURS, "options and φ": "discovered with φ"},
+    "proposed": {"proposed groups": "proposed"},
+}
+"""Agents whose frames these tables give as a share of each other's, by how their names begin; elsewhere `OURS`."""
 
 REACHING = {
     **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},
@@ -251,25 +258,31 @@ def fresh_table(results: Path) -> str:
 
 
 def paired_table(results: Path, ending: str) -> str:
-    """Frames of the agent with options, or with proposed groups, as a share of those of others, of equal seeds."""
-    what, prefix = ("proposed groups", "proposed") if ending == "proposed" else ("options", "discovered, ")
+    """Frames of agents with options, φ or proposed groups as a share of those of others, of equal seeds."""
+    compared = COMPARED.get(ending, OURS)
+    heads = [f"frames with {what}, of these | Pr(faster)" for what in compared]
     rows = [
-        f"| | arrive | frames | frames with {what}, of these | Pr(faster) | processor seconds |",
-        "|---" * 6 + "|",
+        f"| | arrive | frames | {' | '.join(heads)} | processor seconds |",
+        "|---" * (2 * len(compared) + 4) + "|",
     ]
     for task, file in PAIRED[ending].items():
         arms = _summary_of(results, f"{file}-{ending}")["arms"]
         frames = {
             arm: np.minimum(frames_of(results, Of(f"{file}-{ending}", arm)), FRAMES[task]) for arm in sorted(arms)
         }
-        ours = frames[next(arm for arm in arms if arm.startswith(prefix))]
+        ours = [frames[next(arm for arm in arms if arm.startswith(prefix))] for prefix in compared.values()]
         for arm, of in frames.items():
             arrived = f"{(of < FRAMES[task]).sum()} of {len(of)}"
-            compared = (iqm_ratio(ours, of, paired=True), probability_of_improvement(ours, of))
-            cells = ["" if of is ours else "{:.2f} ({:.2f} to {:.2f})".format(*each) for each in compared]
+            cells = [cell for each in ours for cell in (("", "") if of is each else _paired(each, of))]
             seconds = arms[arm]["processor_seconds"]["mean"]
             rows.append(f"| {task}: {arm} | {arrived} | {iqm(of):,.0f} | {' | '.join(cells)} | {seconds:.0f} |")
     return "\n".join(rows)
+
+
+def _paired(ours: FloatArray, rival: FloatArray) -> tuple[str, str]:
+    """The ratio of frames, and the probability that ours are fewer."""
+    text = "{:.2f} ({:.2f} to {:.2f})"
+    return text.format(*iqm_ratio(ours, rival, paired=True)), text.format(*probability_of_improvement(ours, rival))
 
 
 def reach_table(results: Path) -> str:
