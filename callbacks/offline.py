@@ -33,8 +33,10 @@ def discover(
         The options, which `OptionBank.save` writes.
 
     Raises:
-        ValueError: The trajectories do not fit the environment, or none succeeded.
+        ValueError: The trajectories do not fit the environment, none succeeded, or the environment is not wrapped.
     """
+    if not env.has_wrapper_attr("random_trajectories"):
+        raise ValueError("discover() needs slots for options: pass OptionsWrapper(env, max_options=4).")
     callback = SubgoalDiscoveryCallback(demonstrations=trajectories, **{**settings, "clone": False})
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
     gamma = env.get_wrapper_attr("gamma")

@@ -1,9 +1,11 @@
 """Demonstrations: trajectories of another policy."""
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
 from sb3_options.execution.wrapper import OptionsWrapper
 from sb3_options.experience.trajectories import Trajectory
@@ -16,8 +18,9 @@ def record_demonstrations(
 
     Args:
         env: Environment with discrete actions and a time limit. It gets an `OptionsWrapper` if it has none.
-        policy: Policy from one observation to an action: an SB3 model, or a function. A function that plans with the
-            state of the environment, or asks a person, holds ``env`` itself.
+        policy: Policy from one observation to an action: a function or an SB3 model. A function that plans with the
+            state of the environment, or asks a person, holds ``env`` itself. A model samples its actions, as in
+            training, with the environment's masks, its own ``VecNormalize`` and its memory.
         episodes: Number of episodes.
         seed: Seed of the first reset; later resets use ``seed + 1`` and so on.
 
@@ -29,15 +32,32 @@ def record_demonstrations(
     """
     if not env.has_wrapper_attr("random_trajectories"):
         env = OptionsWrapper(env, 0)
-    act = (lambda observation: policy.predict(observation)[0]) if hasattr(policy, "predict") else policy
+    act = _acting(policy, env) if hasattr(policy, "predict") else lambda observation, _: policy(observation)
     env.get_wrapper_attr("set_slots")(record=True)
     trajectories = []
     for episode in range(episodes):
         observation, info = env.reset(seed=seed + episode)
-        ended = False
+        begins, ended = True, False
         while not ended:
-            observation, _, terminated, truncated, info = env.step(act(observation))
-            ended = terminated or truncated
+            observation, _, terminated, truncated, info = env.step(act(observation, begins))
+            begins, ended = False, terminated or truncated
         if "trajectory" in info:  # an episode that was too long is dropped
             trajectories.append(info["trajectory"])
     return trajectories
+
+
+def _acting(model: Any, env: gym.Env[Any, Any]) -> Callable[[Any, bool], Any]:
+    """Return a function of an observation, and of whether an episode begins, to the action that a model chooses."""
+    masked = "action_masks" in inspect.signature(model.predict).parameters
+    normalizer = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
+    memory: Any = None
+
+    def act(observation: Any, begins: bool) -> Any:
+        nonlocal memory
+        masks = {"action_masks": env.get_wrapper_attr("action_masks")()} if masked else {}
+        seen = observation if normalizer is None else normalizer.normalize_obs(observation)
+        memory = None if begins else memory
+        action, memory = model.predict(seen, state=memory, episode_start=np.array([begins]), **masks)
+        return action
+
+    return act

@@ -190,3 +190,8 @@ def test_the_options_of_a_training_are_changed_in_its_environments() -> None:
     assert not env.bank.filled
     assert heads.is_closed(model.policy, env.n_primitive + slot)
     assert not callback._keeper.made
+
+
+def test_a_second_discovery_is_refused() -> None:
+    with pytest.raises(ValueError, match="pass learn\\(\\) one of them"):
+        dqn(optioned_rooms()).learn(10, CallbackList([fast_callback(), SubgoalDiscoveryCallback(method="random")]))

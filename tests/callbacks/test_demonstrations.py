@@ -92,10 +92,54 @@ def test_a_model_shows_too_and_its_options_are_recorded_as_primitives() -> None:
     everywhere = np.ones(n_cells, dtype=bool)
     env.set_option(0, _option(everywhere, np.full(n_cells, RIGHT), np.zeros(n_cells), max_duration=3))
     model = DQN("MlpPolicy", env, buffer_size=1, seed=0)
-    model.predict = lambda observation: (np.array(4), None)  # type: ignore[method-assign, assignment, misc]
+    model.predict = lambda *_, **__: (np.array(4), None)  # type: ignore[method-assign]
     (trajectory,) = record_demonstrations(env, model, 1)
     assert set(trajectory.actions.tolist()) == {RIGHT}
     assert len(trajectory) == 150
+
+
+class RightOnly(gym.Wrapper[Any, Any, Any, Any]):
+    """Refuses any action but one."""
+
+    def action_masks(self) -> Any:
+        return np.arange(4) == RIGHT
+
+    def step(self, action: Any) -> Any:
+        assert action == RIGHT
+        return super().step(action)
+
+
+def test_a_model_chooses_among_the_actions_that_the_environment_allows() -> None:
+    env = OptionsWrapper(RightOnly(small_rooms()), 1, gamma=0.9)
+    for model in (MaskablePPO("MlpPolicy", env, seed=0), OptionDQN("MlpPolicy", env, gamma=0.9, buffer_size=1, seed=0)):
+        (trajectory,) = record_demonstrations(env, model, 1)
+        assert set(trajectory.actions.tolist()) == {RIGHT}
+
+
+def test_a_model_keeps_its_memory_in_an_episode_and_sees_normalised_observations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    venv = VecNormalize(make_vec_env(small_rooms), norm_reward=False)
+    venv.reset()
+    venv.step(np.array([RIGHT]))
+    model = RecurrentPPO("MlpLstmPolicy", venv, gamma=0.9, seed=0)
+    predict = model.predict
+    seen: list[tuple[Any, Any, Any]] = []
+
+    def watched(observation: Any, state: Any, episode_start: Any) -> Any:
+        seen.append((observation, state, episode_start))
+        return predict(observation, state, episode_start)
+
+    monkeypatch.setattr(model, "predict", watched)
+    shown = record_demonstrations(small_rooms(), model, 2)
+    begins = np.cumsum([0, *map(len, shown)])[:-1].tolist()
+    assert [at for at, (_, state, _) in enumerate(seen) if state is None] == begins
+    assert [at for at, (*_, start) in enumerate(seen) if start.tolist() == [True]] == begins
+    assert any(np.any(state[0]) for _, state, _ in seen[1:3])
+    first = np.asarray(shown[0].states)[shown[0].visits[0]]
+    normalised: Any = venv.normalize_obs(first)
+    assert np.array_equal(seen[0][0], normalised)
+    assert not np.array_equal(seen[0][0], first)
 
 
 def _option(initiation: Any, policy: Any, termination: Any, **kwargs: Any) -> Any:
@@ -467,6 +511,8 @@ def test_demonstrations_without_a_success_or_of_another_type_are_refused() -> No
         discover([failed], optioned_rooms())
     with pytest.raises(TypeError, match="record_demonstrations"):
         discover([failed.actions], optioned_rooms())  # type: ignore[list-item]
+    with pytest.raises(ValueError, match=r"pass OptionsWrapper\(env, max_options=4\)"):
+        discover([failed], small_rooms())
 
 
 @pytest.mark.parametrize("as_list", [True, False])
