@@ -12,7 +12,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, is_vecenv_wrapped
 
 from sb3_options.callbacks.cloning import can_clone, check_clonable
-from sb3_options.callbacks.tree import all_callbacks, check_every_step
+from sb3_options.callbacks.tree import check_every_step
 from sb3_options.execution.above import changing_steps
 from sb3_options.execution.options_vec_env import OptionsVecEnv
 from sb3_options.learning.checks import check_gamma, check_wrapped
@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 
 
 def check_training(callback: SubgoalDiscoveryCallback, before: BaseAlgorithm | None) -> None:
-    """Refuse training that cannot discover options, and a callback beside another or of another model, ``before``."""
+    """Refuse training that cannot discover options, and a callback that has served another model, ``before``."""
     check_every_step(callback)
-    if sum(hasattr(each, "discoveries") for each in all_callbacks(callback.locals.get("callback"))) > 1:
-        raise ValueError("Two SubgoalDiscoveryCallbacks would share trajectories and slots: pass learn() one of them.")
     model = callback.model
     venv = callback.training_env
     made = callback._keeper.made

@@ -15,6 +15,7 @@ from sb3_options.callbacks.learned_features import check_learned, features_for
 from sb3_options.callbacks.primitive_steps import PrimitiveStepsCallback
 from sb3_options.callbacks.settings import ConceptSettings, OptionUse
 from sb3_options.callbacks.summaries import draw_discovery, log_discovery, log_run, log_settings, save_or_warn
+from sb3_options.callbacks.tree import all_callbacks
 from sb3_options.checked import given_as
 from sb3_options.checkpoints.demonstrations import MANY
 from sb3_options.density.groups import checked_groups
@@ -132,6 +133,9 @@ class SubgoalDiscoveryCallback(PrimitiveStepsCallback):
         venv = self.training_env
         keeper = self._keeper
         seed = self.model.seed or 0
+        given = all_callbacks(self.locals.get("callback"))
+        if sum(isinstance(each, SubgoalDiscoveryCallback) for each in given) > 1:
+            raise ValueError("Two SubgoalDiscoveryCallbacks would compete for trajectories and slots: pass only one.")
         check_training(self, None if self._installer is None else self._installer.model)
         self._start_counting()
         use = self.use

@@ -33,10 +33,11 @@ def discover(
         The options, which `OptionBank.save` writes.
 
     Raises:
-        ValueError: The trajectories do not fit the environment, none succeeded, or the environment is not wrapped.
+        ValueError: The trajectories do not fit the environment, none succeeded, or the environment has no slots.
     """
-    if not env.has_wrapper_attr("random_trajectories"):
-        raise ValueError("discover() needs slots for options: pass OptionsWrapper(env, max_options=4).")
+    wrapped = isinstance(env, gym.Env) and env.has_wrapper_attr("bank")
+    if not (wrapped and env.get_wrapper_attr("bank").max_options):
+        raise ValueError("discover() needs an environment with slots: pass OptionsWrapper(env, max_options=4).")
     callback = SubgoalDiscoveryCallback(demonstrations=trajectories, **{**settings, "clone": False})
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
     gamma = env.get_wrapper_attr("gamma")

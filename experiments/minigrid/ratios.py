@@ -101,7 +101,7 @@ COMPARED = {
     "features": {**OURS, "options and φ": "discovered with φ"},
     "proposed": {"proposed groups": "proposed"},
 }
-"""Agents whose frames these tables give as a share of each other's, by how their names begin; elsewhere `OURS`."""
+"""How the names of agents begin that each of these tables compares with all others; elsewhere `OURS`."""
 
 REACHING = {
     **{task: (file, f"{file}-fresh") for task, (file, _) in FRESH.items()},

@@ -193,5 +193,5 @@ def test_the_options_of_a_training_are_changed_in_its_environments() -> None:
 
 
 def test_a_second_discovery_is_refused() -> None:
-    with pytest.raises(ValueError, match="pass learn\\(\\) one of them"):
+    with pytest.raises(ValueError, match="compete for trajectories and slots: pass only one"):
         dqn(optioned_rooms()).learn(10, CallbackList([fast_callback(), SubgoalDiscoveryCallback(method="random")]))

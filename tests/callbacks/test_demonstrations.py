@@ -111,9 +111,31 @@ class RightOnly(gym.Wrapper[Any, Any, Any, Any]):
 
 def test_a_model_chooses_among_the_actions_that_the_environment_allows() -> None:
     env = OptionsWrapper(RightOnly(small_rooms()), 1, gamma=0.9)
-    for model in (MaskablePPO("MlpPolicy", env, seed=0), OptionDQN("MlpPolicy", env, gamma=0.9, buffer_size=1, seed=0)):
+    models = [
+        MaskablePPO("MlpPolicy", env, seed=0),
+        OptionDQN("MlpPolicy", env, gamma=0.9, buffer_size=1, seed=0),
+        MaskablePPO("MlpPolicy", RightOnly(small_rooms()), seed=0),  # without slots
+    ]
+    for model in models:
         (trajectory,) = record_demonstrations(env, model, 1)
         assert set(trajectory.actions.tolist()) == {RIGHT}
+
+
+def test_a_model_that_does_not_fit_the_environment_is_refused() -> None:
+    with pytest.raises(ValueError, match="has 5 actions, the environment fewer"):
+        record_demonstrations(small_rooms(), DQN("MlpPolicy", optioned_rooms(1), buffer_size=1), 1)
+    stacked = VecNormalize(VecFrameStack(make_vec_env(small_rooms), 2))
+    with pytest.raises(ValueError, match=r"The model sees Box\(.*\(90,\).*returns Box\(.*\(45,\)"):
+        record_demonstrations(small_rooms(), PPO("MlpPolicy", stacked), 1)
+
+
+def test_any_object_that_predicts_is_a_policy() -> None:
+    class Right:
+        def predict(self, observation: Any) -> Any:
+            return RIGHT, None
+
+    (trajectory,) = record_demonstrations(small_rooms(), Right(), 1)
+    assert set(trajectory.actions.tolist()) == {RIGHT}
 
 
 def test_a_model_keeps_its_memory_in_an_episode_and_sees_normalised_observations(
@@ -511,8 +533,9 @@ def test_demonstrations_without_a_success_or_of_another_type_are_refused() -> No
         discover([failed], optioned_rooms())
     with pytest.raises(TypeError, match="record_demonstrations"):
         discover([failed.actions], optioned_rooms())  # type: ignore[list-item]
-    with pytest.raises(ValueError, match=r"pass OptionsWrapper\(env, max_options=4\)"):
-        discover([failed], small_rooms())
+    for env in (small_rooms(), optioned_rooms(0), make_vec_env(optioned_rooms)):
+        with pytest.raises(ValueError, match=r"pass OptionsWrapper\(env, max_options=4\)"):
+            discover([failed], env)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("as_list", [True, False])
