@@ -87,7 +87,7 @@ of their rivals, which end in -fresh."""
 
 THREE = {"four rooms": "four-rooms", "six rooms": "six-rooms", "key corridors": "key-corridor"}
 PAIRED = {
-    "features": {**THREE, "DoorKey 8x8": "door-key"},
+    "features": {**THREE, "DoorKey 8x8": "door-key", "DoorKey 16x16": "door-key-16"},
     "proposed": THREE,
     "bonuses": {"four rooms": "four-rooms", "key corridors": "key-corridor"},
     "twenty": {"four rooms": "four-rooms"},
