@@ -50,7 +50,7 @@ def record_demonstrations(
 def _acting(model: Any, env: gym.Env[Any, Any]) -> Callable[[Any, bool], Any]:
     """Return a function of an observation, and of whether an episode begins, to the action that a model chooses."""
     takes = inspect.signature(model.predict).parameters
-    n_actions = int(model.action_space.n) if hasattr(model, "action_space") else None
+    n_actions = getattr(getattr(model, "action_space", None), "n", None)
     if n_actions is not None and n_actions > env.action_space.n:  # type: ignore[attr-defined]  # OptionsWrapper checked it
         raise ValueError(
             f"The model has {n_actions} actions, the environment fewer: wrap it in OptionsWrapper as before."
