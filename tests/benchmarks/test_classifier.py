@@ -1,11 +1,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from sklearn.base import clone, is_classifier
-from sklearn.exceptions import NotFittedError
-from sklearn.model_selection import GridSearchCV, cross_val_score
-from sklearn.utils.validation import check_is_fitted
 
 from benchmarks.diverse_density.classifier import DiverseDensityClassifier
 from sb3_options.density.arrays import BoolArray, FloatArray
@@ -29,17 +24,3 @@ def test_learns_and_generalises() -> None:
     np.testing.assert_allclose(probabilities.sum(1), 1)
     assert probabilities.min() >= 0
     assert classifier.n_features_in_ == 6
-
-
-def test_scikit_learn_clones_splits_scores_and_selects() -> None:
-    bags, labels = bags_and_labels(0)
-    classifier = DiverseDensityClassifier(steps=10, max_starts=20)
-    assert clone(classifier).get_params() == classifier.get_params()
-    assert is_classifier(classifier)
-    assert cross_val_score(classifier, bags, labels, cv=3, scoring="roc_auc").mean() > 0.6
-    selected = GridSearchCV(classifier, {"steps": [5, 10]}, cv=2).fit(bags, labels)
-    check_is_fitted(selected.best_estimator_)
-    with pytest.raises(NotFittedError):
-        check_is_fitted(classifier)
-    with pytest.raises(ValueError, match="Invalid parameter 'step' for estimator"):
-        classifier.set_params(step=1)

@@ -11,7 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options import OptionsWrapper, load_model
-from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
+from sb3_options.callbacks import PrimitiveStepsCallback
 from tests.callbacks.doorway import finds_nothing, model_of, with_option
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import fast_callback, optioned_rooms
@@ -51,17 +51,6 @@ def test_a_callback_is_for_one_model(tmp_path: Path) -> None:
     assert set(made) <= set(callback.bank.filled)
 
 
-def test_why_there_is_no_option_tells_of_episodes_that_could_not_be_used() -> None:
-    def ambiguous(_: Any) -> bool:
-        raise ValueError("neither good nor bad")
-
-    callback = SubgoalDiscoveryCallback(success=ambiguous)
-    model_of(optioned_rooms(2)).learn(2000, callback=callback)
-    n = callback.episodes
-    reason = f"{n} of {n} episodes could not be used, the last one because of ValueError: neither good nor bad."
-    assert callback.why_nothing() == f"No subgoal was discovered: {reason}"
-
-
 class LastStates(BaseCallback):
     """Keeps the states of an LSTM after the last step."""
 
@@ -72,8 +61,16 @@ class LastStates(BaseCallback):
         return True
 
 
-@pytest.mark.parametrize("callback", [PrimitiveStepsCallback, finds_nothing])
-@pytest.mark.parametrize("algorithm", [PPO, A2C, TRPO, MaskablePPO, RecurrentPPO])
+@pytest.mark.parametrize(
+    ("algorithm", "callback"),
+    [
+        (PPO, finds_nothing),
+        (A2C, PrimitiveStepsCallback),
+        (TRPO, PrimitiveStepsCallback),
+        (MaskablePPO, finds_nothing),
+        (RecurrentPPO, PrimitiveStepsCallback),
+    ],
+)
 def test_a_training_that_the_budget_ended_in_a_rollout_goes_on_from_where_the_environments_are(
     algorithm: Any, callback: Any
 ) -> None:

@@ -17,7 +17,7 @@ from sb3_options import MacroQ, OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
 from sb3_options.learning.macro_q import OneHot
-from tests.callbacks.doorway import discovered
+from tests.callbacks.doorway import STEPS, discovered, model_of
 from tests.support.sb3_helpers import Corridor, env_of, fast_callback, optioned_rooms, small_rooms
 
 DQN_KWARGS: dict[str, Any] = {"gamma": 0.9, "buffer_size": 200, "learning_starts": 10, "seed": 0}
@@ -170,8 +170,8 @@ def test_the_options_of_a_training_are_changed_in_its_environments() -> None:
     """What the callback tells is a copy; between trainings the environments count."""
     callback = fast_callback()
     env = optioned_rooms(2)
-    model = MaskablePPO("MlpPolicy", env, gamma=0.9, n_steps=128, seed=0, device="cpu")
-    model.learn(6000, callback=callback)
+    model = model_of(env)
+    model.learn(STEPS, callback=callback)
     assert callback.bank.filled
     slot = callback.bank.filled[0]
     callback.bank.remove(slot)

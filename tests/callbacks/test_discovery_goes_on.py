@@ -57,12 +57,6 @@ class TestGoesOn:
         assert callback.bank[1] is env.bank[1] is banks(evaluation.eval_env)[0][1] is hand_made
         assert [d.slot for d in callback.discoveries] == [0]
 
-    @pytest.mark.parametrize("most", [0, 1])
-    def test_until_it_has_made_as_many_as_it_may(self, most: int) -> None:
-        callback, model = fast_callback(max_new_options=most), model_of()
-        model.learn(STEPS, callback=callback)
-        assert len(callback.discoveries) == len(callback.bank) == most
-
     def test_after_nan_observations(self, caplog: pytest.LogCaptureFixture) -> None:
         class Spoilt(gym.ObservationWrapper[Any, Any, Any]):
             seen = 0

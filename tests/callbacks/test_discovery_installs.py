@@ -5,25 +5,19 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from sb3_contrib import QRDQN
-from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import CallbackList, EvalCallback, EveryNTimesteps
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
-from sb3_options import OptionDQN
 from sb3_options.learning import heads
 from sb3_options.options.option import SubgoalOption
 from tests.callbacks.doorway import N_PRIMITIVE, STEPS, banks, model_of, same_options
-from tests.support.sb3_helpers import DOORWAY, RANDOM, env_of, fast_callback, make_optioned_rooms, optioned_rooms
+from tests.support.sb3_helpers import DOORWAY, env_of, fast_callback, make_optioned_rooms, optioned_rooms
 
 
-@pytest.mark.parametrize("algorithm", [DQN, QRDQN, OptionDQN])
-def test_discovers_the_doorway_and_installs_an_option_that_leads_there(algorithm: type[OffPolicyAlgorithm]) -> None:
-    callback = fast_callback()
-    quantiles = {"policy_kwargs": {"net_arch": [16], "n_quantiles": 8}} if algorithm is QRDQN else {}
-    model = model_of(algorithm=algorithm, **quantiles)
+def test_discovers_the_doorway_and_installs_an_option_that_leads_there() -> None:
+    """With DQN; the others are in tests/integration/test_algorithms.py."""
+    callback, model = fast_callback(), model_of()
     model.learn(STEPS, callback=callback)
     (found,) = callback.discoveries
     assert np.abs(found.subgoal - DOORWAY).sum() <= 1
@@ -88,28 +82,6 @@ class TestSuccess:
         model.learn(1000, callback=callback)
         assert len(asked) == callback.episodes > 5
         assert callback.discoveries == []
-
-    def test_so_is_the_static_filter(self) -> None:
-        def beyond_the_doorway(features: Any, start: Any, end: Any) -> Any:
-            return features[:, 0] > 4.5
-
-        callback, model = fast_callback(concepts={"static_filter": beyond_the_doorway}), model_of()
-        model.learn(STEPS, callback=callback)
-        assert [d.subgoal[0] > 4.5 for d in callback.discoveries] == [True]
-
-
-@pytest.mark.parametrize("observation", ["xy", "image"])
-def test_other_observations(observation: str) -> None:
-    policy = {"policy": "CnnPolicy"} if observation == "image" else {}
-    env = optioned_rooms(observation=observation)
-    model = OptionDQN(
-        policy.get("policy", "MlpPolicy"), env, gamma=0.9, buffer_size=3000, learning_starts=2496, train_freq=16,
-        batch_size=4, seed=0, policy_kwargs={"net_arch": [8]}, **RANDOM,
-    )  # fmt: skip
-    callback = fast_callback()
-    model.learn(2500, callback=callback)
-    assert len(callback.discoveries) == 1
-    assert model._option_buffer().next_available.any()
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from sb3_options import OptionsWrapper
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.callbacks.summaries import log_run, log_settings
+from sb3_options.callbacks.summaries import log_run
 from sb3_options.experience.option_run import OptionRun, Termination
 from sb3_options.options import creation
 from tests.callbacks.doorway import STEPS, model_of, same_options
@@ -144,21 +144,6 @@ class TestTensorBoard:
         assert settings["discovery.decay"].number_value == 0.8
         # TensorBoard opens the first groups by the alphabet: the learning curve is to be among them.
         assert min(tag.partition("/")[0] for tag in accumulator.Tags()["scalars"]) == "rollout"
-
-
-def test_without_tensorboard_no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawing = "sb3_options.discovery.figures.map_figure"
-    monkeypatch.setattr(drawing, lambda *_: pytest.fail("drew a picture"))
-    callback = fast_callback()
-    model_of().learn(STEPS, callback=callback)
-    assert callback.discoveries
-
-
-def test_settings_are_flat(tmp_path: Path) -> None:
-    log = configure(str(tmp_path), ["tensorboard"])
-    log_settings(log, {"a": 1, "b": {"c": True, "d": {"e": 2.5}}, "layers": (64, 32), "none": None, "name": "x"})
-    settings: Any = log.name_to_value["settings"]
-    assert settings.hparam_dict == {"a": 1, "b.c": "True", "b.d.e": 2.5, "layers": "(64, 32)", "name": "x"}
 
 
 def test_steps_outside_the_initiation_set_are_no_runs(tmp_path: Path) -> None:

@@ -3,13 +3,12 @@
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, get_args
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from gymnasium import spaces
 from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
@@ -20,7 +19,7 @@ from sb3_options import OptionDQN, OptionsWrapper
 from sb3_options.callbacks import IntrinsicRewardCallback, PrimitiveStepsCallback
 from sb3_options.experience.observations import flatten
 from sb3_options.learning.episodic_novelty import keys_of
-from sb3_options.learning.novelty import NoveltyKind, RandomNetworkDistillation, StateCounts, Steps, bin_widths
+from sb3_options.learning.novelty import NoveltyKind, RandomNetworkDistillation, StateCounts, Steps
 from tests.learning.test_replay_buffer import optioned, place_in
 from tests.learning.test_rollout_buffer import GAMMA, LAMBDA, make
 from tests.support.helpers import steady_option
@@ -145,13 +144,16 @@ class Seen:
 
 
 @pytest.mark.parametrize("options", [True, False])
-@pytest.mark.parametrize("normalized", [True, False])
-def test_novelty_is_asked_about_each_primitive_step(options: bool, normalized: bool) -> None:
-    """Episodes of the environments end at different times; observations are the same to the last bit that counts."""
+@pytest.mark.parametrize("above", [True, False])
+def test_novelty_is_asked_about_each_primitive_step(options: bool, above: bool) -> None:
+    """Episodes of the environments end at different times; observations are the same to the last bit that counts.
+
+    What wrappers above do to observations is undone, to the last of an episode too.
+    """
     venv, logs = logged(2, options=options)
     bonus, seen = IntrinsicRewardCallback(), Seen()
     bonus.novelty = seen  # type: ignore[assignment]  # behaves as one
-    env = VecNormalize(venv, norm_reward=False, gamma=GAMMA) if normalized else venv
+    env = VecNormalize(VecFrameStack(venv, 3), norm_reward=False, gamma=GAMMA) if above else venv
     callbacks: list[BaseCallback] = [bonus, PrimitiveStepsCallback()] if options else [bonus]
     model = make(PPO, env)
     model.learn(200, callback=callbacks)
@@ -236,27 +238,6 @@ def test_every_kind_of_observation_is_counted_as_the_environment_gave_it(kind: s
     assert sorted(visits_of(bonus).values()) == sorted(expected.values())
 
 
-def test_what_vec_wrappers_do_to_observations_is_undone() -> None:
-    """Normalised, clipped and stacked for the algorithm; counted as the environments gave them, last ones too."""
-    venv, logs = logged(2, options=False)
-    stacked = VecFrameStack(venv, 3)
-    env = VecNormalize(stacked, clip_obs=1.0, norm_reward=False, gamma=GAMMA)
-    bonus = IntrinsicRewardCallback()
-    make(PPO, env).learn(128, callback=bonus)
-    expected = Counter(place(step) for log in logs for step in log.log)
-    ended = sum(step.terminated or step.truncated for log in logs for step in log.log)
-    # What was clipped of the last observation of an episode cannot be recovered.
-    widths = bin_widths(cast("spaces.Box", venv.observation_space))
-    assert sum((expected - Counter(read(visits_of(bonus), widths))).values()) <= ended
-    assert ended < 20
-
-
-def read(visits: dict[bytes, int], widths: Any) -> dict[tuple[int, ...], int]:
-    """Visits of places, which are farther apart than bins are wide."""
-    bins = {key: np.frombuffer(key, dtype=np.int64) for key in visits}
-    return {tuple(np.rint(bins[key] * widths).astype(int)): n for key, n in visits.items()}
-
-
 def test_without_weight_nothing_changes() -> None:
     """Nothing is drawn from the environment's spaces either."""
     weights = []
@@ -275,12 +256,12 @@ def test_without_weight_nothing_changes() -> None:
 def test_logs_and_goes_on(kind: Any, tmp_path: Path) -> None:
     model = PPO("MlpPolicy", optioned_rooms(1), gamma=0.9, seed=0, tensorboard_log=str(tmp_path), n_steps=64)
     bonus = IntrinsicRewardCallback(kind)
-    model.learn(640, callback=bonus)
+    model.learn(256, callback=bonus)
     before = bonus.novelty
-    model.learn(640, callback=bonus, reset_num_timesteps=False)
+    model.learn(64, callback=bonus, reset_num_timesteps=False)
     assert bonus.novelty is before
     if isinstance(before, StateCounts):
-        assert sum(before.visits.values()) == 1280
+        assert sum(before.visits.values()) == 320
     scalars = EventAccumulator(str(min(tmp_path.rglob("events*"))))
     scalars.Reload()
     shown = "intrinsic/states" if kind == "counts" else "intrinsic/loss"

@@ -93,17 +93,6 @@ def test_the_doorway_is_found_without_coordinates(observation: str) -> None:
     assert 0.0 < inside.mean() < 0.9
 
 
-def test_says_when_learning_begins_and_ends(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sb3_options.embedding.learner.PAUSE_SECONDS", 0.04)
-    callback = callback_with(concepts={"embedding": {**LEARNING, "updates": 40}}, verbose=1)
-    model_of(temporal_rooms(), learning_starts=10_000, buffer_size=200).learn(2_500, callback)
-    begins, ends, *_ = capsys.readouterr().out.splitlines()
-    assert begins == "The feature map is being learned, in 40 gradient steps."
-    assert ends == "The feature map has been learned."
-
-
 def test_options_move_along() -> None:
     """Subgoal and initiation set hold the same observations before and after the map was learned on."""
     env = temporal_rooms()

@@ -9,7 +9,6 @@ from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
-from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
@@ -139,28 +138,6 @@ def test_moves_the_progress_bar_along() -> None:
 
 
 class TestMonitor:
-    @pytest.mark.parametrize("how", ["env", "vec", "make_vec_env"])
-    def test_reports_primitive_steps_and_undiscounted_rewards(self, how: str) -> None:
-        makers: dict[str, Callable[[], Any]] = {
-            "env": lambda: counting(terminate_at=17),
-            "vec": lambda: DummyVecEnv([lambda: Monitor(counting(terminate_at=17))] * 2),
-            "make_vec_env": lambda: make_vec_env(
-                lambda: CountingEnv(terminate_at=17),
-                n_envs=2,
-                wrapper_class=OptionsWrapper,
-                wrapper_kwargs={"max_options": 2, "gamma": 0.9},
-            ),
-        }
-        env = makers[how]()
-        model = dqn(env, **RANDOM)
-        if how == "make_vec_env":
-            env.env_method("set_option", 0, steady_option(max_duration=K))
-        model.learn(400, callback=PrimitiveStepsCallback())
-        episodes = list(cast("Any", model.ep_info_buffer))
-        assert len(episodes) > 10
-        assert {e["l"] for e in episodes} == {17}
-        assert {e["r"] for e in episodes} == {sum(range(1, 18))}
-
     @pytest.mark.parametrize("subproc", [False, True])
     def test_above_others_and_in_worker_processes(self, subproc: bool) -> None:
         make = [masked_and_monitored] * 2

@@ -8,10 +8,7 @@ import pytest
 import torch
 
 from sb3_options.checkpoints.tree import decode, encode
-from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
-from sb3_options.options.option import SubgoalOption
-from sb3_options.options.policies import NetworkPolicy, TabularPolicy
 from sb3_options.options.sealed import DAMAGE
 from sb3_options.state import storable
 
@@ -70,20 +67,6 @@ def test_one_object_in_two_places_is_one_object_again() -> None:
     first, second = back["regions"]
     assert first is second
     assert first.points is back["points"]
-
-
-def test_options_come_back() -> None:
-    group = FeatureGroup("door", (0,))
-    network = NetworkPolicy(np.zeros(1), np.ones(1), [np.eye(1)], [np.zeros(1)])
-    table = TabularPolicy(np.array([[0.0], [1.0]]), np.array([[0.0, 1.0], [2.0, -np.inf]]))
-    for policy in (network, table):
-        subgoal = Region(np.zeros((1, 1)), np.ones(1), 0.5, group=group)
-        option = SubgoalOption(subgoal, subgoal, policy, policy_input="features", max_duration=7, name="there")
-        back: SubgoalOption = there_and_back({"option": option})["option"]
-        assert (back.name, back.max_duration, back.policy_input, back.subgoal.group) == ("there", 7, "features", group)
-        assert back.subgoal is back.initiation_set
-        for name, array in policy.arrays().items():
-            np.testing.assert_array_equal(back.option_policy.arrays()[name], array)
 
 
 @pytest.mark.parametrize(

@@ -101,12 +101,6 @@ def test_near_a_negative_instance_everything_is_finite() -> None:
         assert value < 0
 
 
-def test_duplicates_count() -> None:
-    instance = np.array([[1.0, 0.0]])
-    once, twice = density([[0.0, 0.0]], 1.0, [instance])[0], density([[0.0, 0.0]], 1.0, [np.tile(instance, (2, 1))])[0]
-    assert twice == pytest.approx(np.log1p(-((1 - np.exp(once)) ** 2)))
-
-
 @pytest.mark.parametrize("max_pairs", [1, 50, 333])
 @pytest.mark.parametrize("d", [2, 20])
 def test_chunks_change_nothing(max_pairs: int, d: int, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,26 +90,6 @@ def test_a_search_among_one_hot_codes_takes_about_what_was_measured(n: int, d: i
     assert measured / 2.5 < seconds_of_search([n], d, "categorical") < 2.5 * measured
 
 
-def test_bags_and_their_search_by_hand() -> None:
-    """Two walks of 40 states, 38 of which are instances; nothing is cut."""
-    discovery = costly()
-    for seed in (1, 2):
-        discovery.add(*wide(seed=seed))
-    discovery.search()
-    n, new, size = 76, 80, 300 + 4
-    bags = 2 * 5e-6 + new * (5e-6 + 300 * 2e-8 + n * size * 1.5e-10)
-    assert discovery.diary.spent == pytest.approx(bags + 4.5e-3 + n * (n / 4) * size * 7e-10)
-
-
-def test_contrast_by_hand() -> None:
-    """Two walks of eight states each; in two nothing stands out enough to be searched."""
-    discovery = Discovery(DiscoverySettings(min_positive=2), groups=[FeatureGroup("one", (0,))])
-    for seed in range(2):
-        discovery.add(*wide(n=8, d=2, seed=seed))
-    discovery.search()
-    assert discovery.diary.spent == pytest.approx(3e-4 + 2 * 4e-6 + 16 * (2 + 16) * 1e-8)
-
-
 class TestSchedule:
     @pytest.fixture(autouse=True)
     def _short(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,7 +142,7 @@ def test_groups_keep_to_it_too() -> None:
 
 @pytest.mark.parametrize("method", ["diverse-density", "relative-novelty"])
 def test_where_searches_are_cheap_none_is_left_out(method: str) -> None:
-    some, every = (run("FourRooms", {"method": method, **more}, 0) for more in ({}, {"max_share": None}))
+    some, every = (run("FourRooms", {"method": method, **more}, 0, n_episodes=30) for more in ({}, {"max_share": None}))
     assert some | {"seconds": 0} == every | {"seconds": 0}
 
 

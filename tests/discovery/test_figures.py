@@ -2,7 +2,6 @@ import dataclasses
 import functools
 import io
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import imageio.v3 as iio
@@ -25,7 +24,6 @@ from sb3_options.options.creation import learn_option
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from sb3_options.options.settings import OptionLearningSettings
-from tests.discovery.drawn import all_of_them
 from tests.discovery.lines import peaks_of, said
 from tests.support.helpers import steady_option
 from tests.support.sb3_helpers import n_colours, optioned_rooms
@@ -76,9 +74,18 @@ def patches(axes: Axes) -> PatchCollection:
     return next(c for c in axes.collections if isinstance(c, PatchCollection))
 
 
-def test_figures_look_as_they_did() -> None:
-    """Where a change is meant, `drawn` says how to write the text anew."""
-    assert all_of_them() == Path(__file__).with_name("figures.txt").read_text("utf-8")
+def test_starts_goals_and_the_subgoal_are_marked_beneath_a_text() -> None:
+    discovery, bank = discovered("environment", xy)
+    figure = subgoals_figure(discovery, bank, "What happened.")
+    assert figure.get_suptitle() == "What happened."
+    marked = {str(line.get_label()): np.asarray(line.get_xydata()) for line in figure.axes[0].lines}
+    assert list(marked) == [text.get_text() for text in figure.legends[0].get_texts()]
+    starts, goals, subgoals = marked.values()
+    np.testing.assert_array_equal(
+        starts, np.unique([t.features[t.trajectory.visits[0]] for t in discovery.database], axis=0)
+    )
+    assert goals.tolist() == [[8.0, 4.0]]
+    assert subgoals.tolist() == [found.centre.tolist() for found in discovery.found]
 
 
 def test_diverse_density_is_the_engines_in_every_cell_seen() -> None:

@@ -1,4 +1,3 @@
-import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +8,6 @@ import pytest
 from sb3_options.discovery import local_cuts
 from sb3_options.discovery.local_cuts import LocalCuts
 from sb3_options.envs import GridWorld
-from sb3_options.state import restore, state_of
 
 ROOMS = """
     ###########
@@ -93,19 +91,3 @@ def test_states_of_many_features_have_short_keys_and_the_same_shares() -> None:
     cuts = walked(LocalCuts(), [many[way] for way in ([0, 1, 2], [1, 2], [2, 1])])
     assert {len(key) for key in cuts._number} == {16}
     assert shares_of(cuts, many).tolist() == [0.5, 0.5, 0.0]
-
-
-def test_goes_on_from_a_state(rng: np.random.Generator) -> None:
-    def walk(n: int) -> Any:
-        return np.abs(np.cumsum(rng.integers(-1, 2, (n, 2)), axis=0) % 8 - 4)
-
-    cuts = walked(LocalCuts(), [walk(30), walk(30)])
-    shares_of(cuts, rng.integers(0, 5, (5, 2)))
-    again = LocalCuts()
-    restore(again, copy.deepcopy(state_of(cuts)))
-    later = walk(20)
-    everything = list(np.ndindex(5, 5))
-    for one in (cuts, again):
-        walked(one, [later])
-    assert shares_of(cuts, everything).tolist() == shares_of(again, everything).tolist()
-    assert cuts.n_computed == again.n_computed

@@ -7,7 +7,6 @@ from sb3_options.density.groups import FeatureGroup
 from sb3_options.density.regions import Region
 from sb3_options.discovery.discovery import Discovery
 from sb3_options.discovery.methods import Experience
-from sb3_options.discovery.methods.candidates import PLACE_SECONDS
 from sb3_options.discovery.methods.diverse_density import PersistentPeaks
 from sb3_options.discovery.methods.random_places import RandomPlaces
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty
@@ -81,11 +80,14 @@ def test_groups_are_for_diverse_density() -> None:
         Discovery(DiscoverySettings(method="relative-novelty"), groups=groups)
 
 
-def test_why_nothing_names_the_method() -> None:
+def test_why_nothing_names_the_method_and_what_it_waits_for() -> None:
     discovery = of(Told())
     assert discovery.why_nothing().startswith("No subgoal was discovered: no episode has ended. Train")
     searched(discovery)
     assert discovery.why_nothing() == "No subgoal was discovered: Told proposed none that the filters leave."
+    waiting = of(RandomPlaces(min_successes=9))
+    searched(waiting, 3)
+    assert "RandomPlaces waits for 9 successful episodes (min_successes), and 3 have ended" in waiting.why_nothing()
 
 
 def test_why_nothing_tells_of_successes_where_the_method_needs_them(caplog: pytest.LogCaptureFixture) -> None:
@@ -119,13 +121,6 @@ def test_what_no_option_could_be_learned_for_comes_again_and_blocks_nothing_near
     assert (searched(discovery), len(discovery.found)) == ([5.0], 1)
 
 
-def test_why_nothing_says_what_a_method_waits_for() -> None:
-    discovery = of(RandomPlaces(min_successes=9))
-    searched(discovery, 3)
-    waits = "RandomPlaces waits for 9 successful episodes (min_successes), and 3 have ended."
-    assert discovery.why_nothing() == f"No subgoal was discovered: {waits}"
-
-
 def test_what_waits_for_the_method_keeps_to_the_memory_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """The scale by the range waits for four trajectories, of which only two may be kept."""
     monkeypatch.setattr("sb3_options.discovery.discovery.MAX_BYTES", 2 * (line()[0].n_bytes + line()[1].nbytes))
@@ -135,14 +130,3 @@ def test_what_waits_for_the_method_keeps_to_the_memory_too(monkeypatch: pytest.M
         searched(discovery)
         assert (discovery.scale is not None) == (n >= 4)
     assert len(method.told) == 2 + 2
-
-
-def test_what_it_takes_grows_with_the_places_remembered() -> None:
-    discovery = of(RelativeNovelty(lag=2))
-    spent = [0.0]
-    for start in (0, 100, 200):
-        trajectory, states = line()
-        discovery.add(trajectory, states + start)
-        discovery.search()
-        spent.append(discovery.diary.spent)
-    assert np.diff(spent, 2) == pytest.approx([8 * PLACE_SECONDS] * 2)

@@ -39,11 +39,6 @@ def test_distances_on_a_line_are_in_steps() -> None:
     assert means[-1] > N / 2
 
 
-def test_before_it_is_learned_no_distance_means_anything() -> None:
-    learner = learned(LINE, updates=1, learning_rate=1e-9)
-    assert rank_correlation(distances(learner.map(EVERY)), LINE.steps) < 0.5
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("text", [TWO_ROOMS, FOUR_ROOMS], ids=["TwoRooms", "FourRooms"])
 def test_rooms(text: str) -> None:
@@ -141,17 +136,3 @@ def test_a_map_that_diverges_stays_as_it_was() -> None:
     learner.settings = EmbeddingSettings(updates=20)
     learner.learn(LINE.trajectories, 32, 0)
     assert np.isfinite(learner.map(EVERY)).all()
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"horizon": 1.0}, r"^EmbeddingSettings: horizon should be greater than 1, got 1.0$"),
-        ({"updates": 0}, r"^EmbeddingSettings: updates should be greater than or equal to 1, got 0$"),
-        ({"batch_size": 1}, r"^EmbeddingSettings: batch_size should be greater than or equal to 2, got 1$"),
-        ({"learning_rate": np.inf}, r"^EmbeddingSettings: learning_rate should be a finite number, got inf$"),
-    ],
-)
-def test_settings(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        EmbeddingSettings(**wrong)

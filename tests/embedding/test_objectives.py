@@ -69,15 +69,6 @@ class TestReplay:
         assert all(len(each) == 2 * expected and each == sorted(each) for each in drawn)
         assert {place for each in drawn for place in each} == {*range(6)}
 
-    def test_an_observation_that_is_there_twice_is_encoded_once(self) -> None:
-        replay, seen = Replay([path_through([0, 1, 2])], TABLE, DRAWS), []
-        encoder = Encoder(TABLE, 2)
-        encoder.register_forward_pre_hook(lambda _, args: seen.append(len(args[0])))
-        one, other = replay.encoded(encoder, torch.tensor([0, 1, 1]), torch.tensor([1, 0]))
-        assert seen == [2]
-        assert one.shape == (3, 2)
-        torch.testing.assert_close(one[1], other[0])
-
 
 class TestEncoder:
     @pytest.mark.parametrize(

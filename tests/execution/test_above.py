@@ -1,6 +1,7 @@
 """What may stand above `OptionsWrapper`: refused before training starts, in this process and in another."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -16,7 +17,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from sb3_options import OptionReplayBuffer, OptionsWrapper
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
-from sb3_options.execution.above import Outermost
 from tests.support.helpers import CountingEnv, steady_option
 from tests.support.sb3_helpers import ActionLog, make_optioned_rooms, optioned_rooms
 
@@ -77,7 +77,7 @@ def limited_rooms() -> gym.Env[Any, Any]:
     return wrappers.TimeLimit(make_optioned_rooms(), 10)
 
 
-@pytest.mark.parametrize("venv", [DummyVecEnv, SubprocVecEnv])
+@pytest.mark.parametrize("venv", [DummyVecEnv, partial(SubprocVecEnv, start_method="fork")])
 def test_one_of_several_environments_is_enough(venv: Any) -> None:
     env = venv([optioned_rooms, limited_rooms])
     model = DQN("MlpPolicy", env, gamma=0.9, replay_buffer_class=OptionReplayBuffer, buffer_size=100)
@@ -97,26 +97,3 @@ def test_an_evaluation_beside_a_callback_counts_primitive_steps(callback: Any) -
     model.learn(80, callback=[callback(), evaluation])
     assert evaluation.last_mean_reward == sum(range(1, 51))
     assert set(monitor.get_episode_lengths()) == {50}
-
-
-def test_a_monitor_counts_primitive_steps_and_passes_actions_on() -> None:
-    """One step before, and one after, an option of 5 steps; rewards are 1, 2, …"""
-    inner = counting()
-    env: Any = Monitor(inner)
-    assert env.needs_reset
-    inner.outermost = env
-    inner.set_slots(primitive_monitor=True)
-    with pytest.raises(RuntimeError, match="needs reset"):
-        env.step(0)
-    env.reset(seed=0)
-    for action, n_steps in ((1, 1), (2, 6), (0, 7)):
-        observation, *_ = env.step(action)
-        assert (observation.item(), env.total_steps) == (n_steps, n_steps)
-        assert env.rewards == list(range(1, n_steps + 1))
-    assert inner.unwrapped.actions == [1, 1, 1, 1, 1, 1, 0]  # type: ignore[attr-defined]  # of CountingEnv
-    assert env.env is inner
-
-
-def test_an_environment_without_options_is_not_the_outermost_of_any() -> None:
-    assert not isinstance(Monitor(CountingEnv()), Outermost)
-    assert isinstance(Monitor(counting()), Outermost)

@@ -80,18 +80,6 @@ def test_resolving_draws_nothing_from_the_environment() -> None:
 
 
 @pytest.mark.parametrize(
-    ("space", "size"),
-    [
-        (spaces.Discrete(5), 1),
-        (spaces.Box(0, 1, (2, 3)), 6),
-        (spaces.Dict({"a": spaces.Box(0, 1, (2, 3)), "b": spaces.Discrete(9)}), 7),
-    ],
-)
-def test_flat_size(space: Any, size: int) -> None:
-    assert flat_size(space) == size
-
-
-@pytest.mark.parametrize(
     ("space", "named"),
     [
         (spaces.Dict(image=spaces.Box(0, 1, (2,)), mission=spaces.Text(20)), r"\(mission: Text.*MiniGridWrapper"),
@@ -235,12 +223,3 @@ def test_signatures_differ_where_spaces_do() -> None:
     assert signature(spaces.Discrete(4, seed=3), None) == told[0]
     assert told[0].features is None
     assert signature(DIFFERENT[0], resolve(env_with(DIFFERENT[0]))).features == "categorical"
-
-
-@pytest.mark.parametrize(("n", "cut"), [(200, False), (201, True)])
-def test_long_descriptions_are_cut(n: int, cut: bool) -> None:
-    class Named(spaces.Discrete):
-        def __repr__(self) -> str:
-            return "x" * n
-
-    assert signature(Named(2), None).space == ("x" * 200 + "…" if cut else "x" * n)

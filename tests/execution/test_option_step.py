@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium import spaces
-from scipy.stats import chisquare
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import Option, OptionsWrapper
@@ -145,22 +144,6 @@ def test_an_option_chosen_outside_its_initiation_set_it_runs_one_step_of_its_own
     about = env.step(5)[4]["option"]
     assert (about["index"], about["duration"], about["termination"]) == (0, 1, why)
     assert inner.actions == [3]
-
-
-def test_stochastic_termination() -> None:
-    """Durations of an option with β = 1/4 everywhere are geometric."""
-    env = OptionsWrapper(CountingEnv(), max_options=1)
-    env.bank.add(table_option([1] * 1000, [0] * 1000, [0.25] * 1000, max_duration=1000))
-    durations = []
-    for seed in range(2000):
-        env.reset(seed=seed)
-        durations.append(env.step(2)[4]["option"]["duration"])
-    observed = [sum(d == k for d in durations) for k in range(1, 8)]
-    expected = [2000 * 0.75 ** (k - 1) * 0.25 for k in range(1, 8)]
-    assert chisquare([*observed, 2000 - sum(observed)], [*expected, 2000 - sum(expected)]).pvalue > 0.01
-
-    env.reset(seed=3)
-    assert env.step(2)[4]["option"]["duration"] == durations[3]
 
 
 def test_a_policy_that_names_no_primitive() -> None:

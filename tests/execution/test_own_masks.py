@@ -6,11 +6,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
-from sb3_contrib import MaskablePPO
-from stable_baselines3 import DQN, PPO
 
-from sb3_options import MacroQ, OptionDQN, OptionReplayBuffer, OptionsWrapper
-from sb3_options.callbacks import PrimitiveStepsCallback
+from sb3_options import OptionsWrapper
 from tests.support.helpers import steady_option
 
 LEFT, STAY, RIGHT = 0, 1, 2
@@ -82,44 +79,3 @@ def test_a_slot_that_is_chosen_all_the_same_runs_a_legal_primitive() -> None:
         gate.x, gate.time = GATE, 3
         info = env.step(3 + slot)[4]
         assert (info["option"]["index"], info["option"]["actions"].tolist()) == (-1, [ran])
-
-
-@pytest.mark.parametrize("algorithm", ["dqn", "ppo", "option-dqn", "macro-q", "maskable-ppo"])
-def test_no_algorithm_meets_an_illegal_move_through_a_slot(algorithm: str) -> None:
-    """Stock algorithms choose primitives without masks; here these are let be, and slots are checked."""
-
-    class Lenient(Gate):
-        def step(self, action: int) -> Any:
-            if not self.legal()[action] and self.chosen >= 3:
-                raise ValueError("a slot ran an illegal move")
-            self.time += not self.legal()[action]
-            return super().step(action if self.legal()[action] else STAY)
-
-        chosen = 0
-
-    class Chosen(OptionsWrapper):
-        def step(self, action: int) -> Any:
-            self.unwrapped.chosen = int(action)  # type: ignore[attr-defined]  # a `Lenient`
-            return super().step(action)
-
-    env = Chosen(Lenient(), 2, gamma=0.9)
-    env.set_option(0, steady_option(RIGHT, max_duration=10))
-    deep: dict[str, Any] = {"gamma": 0.9, "seed": 0}
-    replay = {**deep, "replay_buffer_class": OptionReplayBuffer, "learning_starts": 100, "buffer_size": 500}
-    model: Any = {
-        "dqn": lambda: DQN("MlpPolicy", env, **replay),
-        "ppo": lambda: PPO("MlpPolicy", env, n_steps=64, **deep),
-        "option-dqn": lambda: OptionDQN("MlpPolicy", env, **replay),
-        "macro-q": lambda: MacroQ(env, features=_Tiles(), gamma=0.9, seed=0),
-        "maskable-ppo": lambda: MaskablePPO("MlpPolicy", env, n_steps=64, **deep),
-    }[algorithm]()  # type: ignore[no-untyped-call]  # lambdas
-    model.learn(600, callback=PrimitiveStepsCallback())
-    assert model.num_timesteps >= 600
-
-
-class _Tiles:
-    n_features = 7
-    n_active = 1
-
-    def active(self, observations: Any) -> Any:
-        return np.asarray(observations, dtype=np.int64).reshape(-1, 1)

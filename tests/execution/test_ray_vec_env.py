@@ -135,11 +135,7 @@ def test_environments_are_shared_out_among_actors(
     ray.n_cores = n_cores
     venv = RayVecEnv([CountingEnv] * n_envs, n_actors)
     assert venv._groups == groups
-    assert len(venv._actors) == len(venv._outboxes) == len(groups)
-    assert (venv.waiting, venv.closed, venv.processes, venv.lost_actors) == (False, False, [], 0)
-    env = CountingEnv()
-    assert (venv.observation_space, venv.action_space) == (env.observation_space, env.action_space)
-    assert venv.num_envs == n_envs
+    assert len(venv._actors) == len(groups)
     first, later = ray.timeouts[: len(groups)], ray.timeouts[len(groups) :]
     assert (venv.step_timeout, set(first)) == (600.0, {None})  # to make them may take as long as it takes
     assert later == pytest.approx([600.0] * len(later), abs=5.0)

@@ -3,7 +3,6 @@
 import logging
 import re
 from typing import Any
-from unittest.mock import patch
 
 import gymnasium as gym
 import numpy as np
@@ -56,18 +55,6 @@ def test_recording_can_begin_and_end_at_any_time() -> None:
     env.set_slots(record=False)
     env.reset()
     assert all("trajectory" not in env.step(0)[4] for _ in range(4))
-
-
-def test_beneath_it_all_is_as_without_it() -> None:
-    """Before recording, what was never recorded is no report; seeds and options of a reset arrive."""
-    env = RecordTrajectories(CountingEnv())
-    assert (env.finished, env.max_segment, env.take()) == ([], None, {})
-    assert env.get_state() == {"recorder": None, "max_segment": None}
-    with patch.object(CountingEnv, "reset", return_value=(np.zeros(1), {})) as reset:
-        env.reset(seed=4, options={"there": 1})
-    reset.assert_called_once_with(seed=4, options={"there": 1})
-    env.step(1)
-    assert env.unwrapped.actions == [1]  # type: ignore[attr-defined]  # of CountingEnv
 
 
 @pytest.mark.parametrize("max_segment", [None, 7])

@@ -52,35 +52,18 @@ def test_info_has_what_is_available_for_who_asks_once_there_are_options() -> Non
     assert env.step(3)[4]["option"]["available"].tolist() == [[False, True, False]] * 2
 
 
-def test_set_option_fills_replaces_and_empties() -> None:
-    env, option = with_two_options(), steady_option()
-    for slot, content in ((2, option), (1, None), (0, None)):
-        env.set_option(slot, content)
-    assert env.bank.slots == (None, None, option)
-    with pytest.raises(ValueError, match=r"^slot must be between 0 and 2, got 3\.$"):
-        env.set_option(3, option)
-
-
-class TestOptionsFile:
-    @pytest.fixture
-    def path(self, tmp_path: Path) -> Path:
-        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
-        env.bank.add(along_row_5(10.0, 0, 10, 3), 1)
-        env.bank.save(tmp_path / "options.safetensors")
-        return tmp_path / "options.safetensors"
-
-    def test_its_options_are_there_from_the_start(self, path: Path) -> None:
-        env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", success_probability=1.0), options_file=str(path))
-        assert env.bank.filled == (1,)
-        env.reset(options={"start": (2, 5)})
-        assert env.action_masks().tolist() == [True] * 4 + [False, True, False, False]
-        observation, _, _, _, info = env.step(5)
-        assert (info["option"]["duration"], info["option"]["termination"]) == (8, "subgoal")
-        assert env.concept_features(observation[None]).tolist() == [[10.0, 5.0]]
-
-    def test_a_file_that_does_not_fit_is_an_error(self, path: Path) -> None:
-        with pytest.raises(ValueError, match=r"its options choose among 4 primitive actions, this task has 2\.$"):
-            OptionsWrapper(CountingEnv(), options_file=path)
+def test_options_of_a_file_are_there_from_the_start(tmp_path: Path) -> None:
+    path = tmp_path / "options.safetensors"
+    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0"))
+    env.bank.add(along_row_5(10.0, 0, 10, 3), 1)
+    env.bank.save(path)
+    env = OptionsWrapper(gym.make("sb3_options/TwoRooms-v0", success_probability=1.0), options_file=str(path))
+    assert env.bank.filled == (1,)
+    env.reset(options={"start": (2, 5)})
+    assert env.action_masks().tolist() == [True] * 4 + [False, True, False, False]
+    observation, _, _, _, info = env.step(5)
+    assert (info["option"]["duration"], info["option"]["termination"]) == (8, "subgoal")
+    assert env.concept_features(observation[None]).tolist() == [[10.0, 5.0]]
 
 
 @pytest.mark.parametrize(

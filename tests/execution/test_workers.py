@@ -8,7 +8,7 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_options.execution import workers
-from sb3_options.execution.workers import LIBRARIES, WorkerLostError, end_workers, watch_workers, watched_workers
+from sb3_options.execution.workers import WorkerLostError, end_workers, watch_workers, watched_workers
 from tests.support.helpers import CountingEnv
 
 
@@ -30,26 +30,9 @@ class Workers(SimpleNamespace):
 
 
 @pytest.fixture(autouse=True)
-def preloaded(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What the fork server is told to import."""
-    told: list[Any] = []
+def ended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "SubprocVecEnv", Workers)
-    monkeypatch.setattr(workers, "set_forkserver_preload", told.append)
     monkeypatch.setattr(workers, "wait", lambda each: each[1:])  # the process has ended
-    return told
-
-
-@pytest.mark.parametrize(("methods", "expected"), [(["spawn"], []), (["fork", "forkserver"], [LIBRARIES])])
-def test_a_fork_server_imports_the_libraries_once(
-    preloaded: list[Any], monkeypatch: pytest.MonkeyPatch, methods: list[str], expected: list[Any]
-) -> None:
-    monkeypatch.setattr(workers, "get_all_start_methods", lambda: methods)
-    venv: Any = watched_workers((CountingEnv, CountingEnv), start_method="spawn")
-    assert (preloaded, venv.env_fns, venv.kwargs) == (expected, [CountingEnv] * 2, {"start_method": "spawn"})
-    watched = venv.remotes
-    assert [type(remote).__name__ for remote in watched] == ["_WatchedPipe"] * 2
-    watch_workers(venv)
-    assert venv.remotes == watched
 
 
 @pytest.mark.parametrize("error", [EOFError(), ConnectionResetError()])

@@ -6,14 +6,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import sb3_options.envs  # noqa: F401  # registers them
 from sb3_options import OptionsWrapper
 from sb3_options.embedding.learned_map import LearnedMap
-from sb3_options.execution.slots import SlotState, Traits
 from tests.options.banks import along_row_5
 from tests.support.helpers import CountingEnv, equal, random_state, steady_option, table_option
 from tests.support.sb3_helpers import TAXI
@@ -50,20 +48,6 @@ def test_without_options_it_is_the_environment_itself_bit_for_bit(env_id: str, k
             assert all(equal(a, b) for a, b in zip(bare.reset(seed=seed), wrapped.reset(seed=seed), strict=True))
     assert episodes > 0
     assert random_state(bare) == random_state(wrapped)
-
-
-def test_defaults() -> None:
-    env = OptionsWrapper(CountingEnv(3))
-    assert env.traits == Traits(3, 0.99, None, False, env.env.observation_space, "identity", (), 1)
-    assert (env.outermost, env.slot_state, env.running_option()) == (env, SlotState(), "primitive action")
-    assert (env.action_space, env.check_finite) == (spaces.Discrete(7), False)
-
-
-def test_no_slots_at_all() -> None:
-    env = OptionsWrapper(CountingEnv(), max_options=0)
-    assert env.action_space == spaces.Discrete(2)
-    env.reset(seed=0)
-    assert env.action_masks().tolist() == [True, True]
 
 
 def test_an_empty_slot_runs_the_primitive_of_its_number() -> None:
@@ -119,14 +103,6 @@ def test_its_arguments_are_recorded_as_they_are(tmp_path: Any) -> None:
     env = OptionsWrapper(CountingEnv(), **given)
     assert env._saved_kwargs == given
     assert (env.gamma, env.bank.observation_size, env.bank.feature_size) == (1.0, 1, 3)
-    signature: Any = env.bank.signature
-    assert (signature.space, signature.features) == (str(env.observation_space), "given")
-
-
-def test_by_default_numbers_are_not_checked() -> None:
-    env = OptionsWrapper(CountingEnv(step=lambda *_: (np.array([np.nan]), np.inf, False, False, {})))
-    env.reset(seed=0)
-    assert env.step(0)[1] == np.inf
 
 
 def test_whether_an_option_ends_is_drawn_from_the_seed() -> None:

@@ -60,14 +60,13 @@ def test_study_writes_results_and_picture_and_resumes(tmp_path: Path, monkeypatc
     assert [path.stat().st_mtime_ns for path in kept] == before
 
 
-@pytest.mark.parametrize("arm", ["stock", "options"])
-def test_tuning_writes_what_was_best_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: Any) -> None:
+def test_tuning_writes_what_was_best_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     key = ("transfer", "FourRooms")
     task = tasks.TASKS[key]
     monkeypatch.setattr(tune, "TASKS", {key: tasks.Task(task.env, task.target, task.source, 300, 200)})
-    tune.main(tune.Tuning(out=tmp_path, algo="ppo", arm=arm, trials=1, seeds=1, jobs=1))
-    tune.main(tune.Tuning(out=tmp_path, algo="ppo", arm=arm, trials=2, seeds=1, jobs=1))
-    written = json.loads((tmp_path / f"ppo-{arm}" / "tuned.json").read_text())
+    tune.main(tune.Tuning(out=tmp_path, algo="ppo", arm="options", trials=1, seeds=1, jobs=1))
+    tune.main(tune.Tuning(out=tmp_path, algo="ppo", arm="options", trials=2, seeds=1, jobs=1))
+    written = json.loads((tmp_path / "ppo-options" / "tuned.json").read_text())
     assert written["finished"] + written["pruned"] == 2
     assert written["steps_to_90"] == {"transfer, FourRooms": [300]}
     assert set(written["best"]) >= {"learning_rate", "n_steps", "net_arch"}

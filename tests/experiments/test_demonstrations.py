@@ -71,18 +71,6 @@ def test_an_expert_errs_as_often_as_it_is_told() -> None:
     assert 60 < wrong < 110  # one of seven random actions is right
 
 
-def test_an_expert_whose_way_is_blocked_goes_on_only_if_it_errs(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stuck(*_: Any) -> int:
-        raise AssertionError
-
-    monkeypatch.setattr("minigrid.utils.baby_ai_bot.BabyAIBot.replan", stuck)
-    env = make("BabyAI-KeyCorridorS3R3-v0", mission=False)
-    env.reset(seed=0)
-    assert {expert_of(env, 0.3, seed=seed)(None) for seed in range(50)} == set(range(7))
-    with pytest.raises(AssertionError):
-        expert_of(env)(None)
-
-
 def test_a_run_that_did_not_learn_is_beyond_the_edge_of_the_picture() -> None:
     task = "MiniGrid-LockedRoom-v0"
     study = Study(out=Path(), tasks=(task,), arms=("options, cloning", "cloning"))

@@ -70,21 +70,3 @@ def test_visits_are_counted_by_hand() -> None:
     first = measures.visit_counts(world(), trajectories, first_only=True)
     assert every[0, :4].tolist() == [2, 3, 1, 0]
     assert first[0, :4].tolist() == [1, 2, 1, 0]
-
-
-def test_the_doorway_is_what_every_crossing_visits() -> None:
-    settings = PaperSettings(min_positive=2, threshold=0.05)
-
-    def path(y: int, to: int, row: int) -> LabelledTrajectory:
-        beyond = ((x, row) for x in range(12, 21))
-        return walk(*((x, y) for x in range(4, 10)), (9, to), (9, 5), (10, 5), (11, 5), (11, row), *beyond)
-
-    paths = [path(0, 4, 4), path(8, 6, 6), path(2, 4, 7)]
-    found = measures.first_subgoal(settings, paths)
-    assert found is not None
-    discovery = measures.discovery_of(settings, paths)
-    density = measures.density_map(world(), discovery)
-    assert density is not None
-    assert density[5, 10] > density[0, 0]
-    assert np.isnan(density[0, 10])
-    assert measures.most_visited(world(), discovery, first_only=True, rng=np.random.default_rng(0)) is not None

@@ -15,9 +15,9 @@ def test_what_counts_as_a_bottleneck() -> None:
     assert not is_bottleneck(world, [3, 3, 0])
 
 
-@pytest.mark.parametrize(("compare", "noise"), [("bags", 0.0), ("methods", 0.0), ("waiting", 0.3)])
+@pytest.mark.parametrize(("compare", "noise"), [("methods", 0.0), ("waiting", 0.3)])
 def test_study_writes_results_and_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Literal["bags", "methods", "waiting"], noise: float
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Literal["methods", "waiting"], noise: float
 ) -> None:
     monkeypatch.setattr("experiments.random_walks.conditions.N_EPISODES", 2)
     main(Study(out=tmp_path, runs=1, first_seed=0, jobs=1, compare=compare, noise=noise))

@@ -18,19 +18,12 @@ from sb3_options.runs.evaluation import evaluate_run
 from sb3_options.runs.video import CAPTION_HEIGHT
 from tests.support import processes
 from tests.support.runs import Refused, train
-from tests.support.sb3_helpers import read_video
+from tests.support.sb3_helpers import SMALL_ROOMS, read_video
 
 ROOT = Path(__file__).parents[2]
-CONFIG = """
+CONFIG = f"""
 algo: dqn
-env_kwargs:
-  map: |
-    SSSS#....
-    SSSS#....
-    SSSS.....
-    SSSS#....
-    SSSS#...G
-  max_steps: 150
+env_kwargs: {{map: {json.dumps(SMALL_ROOMS)}, max_steps: 150}}
 n_timesteps: 4000
 progress: false
 learning_starts: 200

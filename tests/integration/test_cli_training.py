@@ -15,10 +15,7 @@ from sb3_options.discovery.figures import subgoals_figure
 from sb3_options.runs import config as configs
 from sb3_options.runs import training
 from sb3_options.runs.config import ALGORITHMS
-from sb3_options.runs.evaluation import evaluate_run
-from tests.integration.test_cli_run import CONFIG
 from tests.support.runs import train
-from tests.support.sb3_helpers import DOORWAY
 
 
 class TestTrain:
@@ -61,47 +58,12 @@ class TestTrain:
         assert len(np.load(folder / "evaluations.npz")["timesteps"]) >= 1
         cli.main(["evaluate", str(folder), "--episodes", "1"])
 
-    @pytest.mark.parametrize("algo", ["ppo", "maskableppo"])
-    def test_on_policy_discovery(self, algo: str, tmp_path: Path) -> None:
-        text = (
-            CONFIG.replace("learning_starts: 200\n", "n_envs: 4\nn_steps: 64\n")
-            .replace("algo: dqn", f"algo: {algo}")
-            .replace("4000", "7000")
-        )
-        (tmp_path / "config.yml").write_text(text)
-        args = ["--config", str(tmp_path / "config.yml"), "--algo", algo, "--tensorboard-log", str(tmp_path)]
-        args += ["--n-epochs", "2"]
-        folder = train(parse([*args, "--discovery.min-positive", "5", "--discovery.decay", "0.5"]))
-        bank = OptionBank(4, 4)
-        bank.load(folder / "options.safetensors")
-        assert bank.filled == (0,)
-        subgoal = bank[0].subgoal.points[0]  # type: ignore[union-attr]  # discovered
-        assert np.abs(subgoal - DOORWAY).sum() <= 1
-        result = evaluate_run(folder, episodes=2)
-        assert result.episodes == 2
-
     def test_says_how_it_went(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         args = ["--n-timesteps", "2000", "--no-progress", "--tensorboard-log", str(tmp_path)]
         cli.main([*args, "--env-kwargs", "max_steps:100"])
         printed = capsys.readouterr().out
         assert re.search(r"│ success rate, at the end +│ [01]", printed)
         assert len(list((tmp_path / "maskableppo").glob("*_1/monitor/*"))) == 8
-
-    def test_an_interrupt_keeps_what_was_learned(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        from stable_baselines3 import DQN
-
-        def train(self: Any, *args: Any, **kwargs: Any) -> None:
-            raise KeyboardInterrupt
-
-        monkeypatch.setattr(DQN, "train", train)
-        with pytest.raises(SystemExit) as stopped:
-            cli.main(["dqn", "--tensorboard-log", str(tmp_path), "--no-progress", "--device", "cpu"])
-        assert stopped.value.code == 130
-        assert "Interrupted after 50" in capsys.readouterr().out
-        folder = tmp_path / "dqn" / "sb3_options-TwoRooms-v0_1"
-        assert all((folder / name).is_file() for name in ("model.zip", "options.safetensors", "config.yml"))
 
 
 def test_an_intrinsic_reward(tmp_path: Path) -> None:

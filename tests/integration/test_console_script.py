@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from tests.support import processes
-from tests.support.runs import Refused
 
 ROOT = Path(__file__).parents[2]
 SHORT = "--n-timesteps 600 --env-kwargs max_steps:50 --no-progress --max-options 2 --checkpoint-freq 0"
@@ -63,11 +62,3 @@ def test_a_missing_extra_is_named(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "pip install 'sb3-options[train,contrib]' (in a checkout '.[train,contrib]')" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(["compare", "nowhere"], "nowhere has no TensorBoard file"), (["options", "nowhere"], "nowhere")],
-)
-def test_what_cannot_be_shown_is_said_in_one_line(words: list[str], said: str, refused: Refused) -> None:
-    assert said in refused(*words)

@@ -120,13 +120,6 @@ def test_stacked_frames_above_are_refused() -> None:
         model.learn(100, callback=SubgoalDiscoveryCallback())
 
 
-def test_demonstrations_leave_segments_as_they_were() -> None:
-    venv = make_env()
-    venv.set_slots(record=True, max_segment=40)
-    assert max(map(len, venv.random_trajectories(9, 100, 0))) > 40
-    assert (venv.slot_state.record, venv.slot_state.max_segment) == (True, 40)
-
-
 def test_a_saved_model_brings_its_options_along(tmp_path: Path) -> None:
     model = MaskablePPO("MlpPolicy", make_env(), gamma=GAMMA, seed=0, n_steps=32, batch_size=64)
     discovery = SubgoalDiscoveryCallback(FAST_DISCOVERY, max_new_options=1)

@@ -21,18 +21,12 @@ from sb3_options.runs import training
 from sb3_options.runs.folder import held
 from sb3_options.runs.training import is_finished
 from tests.support.runs import Refused
+from tests.support.sb3_helpers import FAST_DISCOVERY, SMALL_ROOMS
 
-CONFIG = """
+CONFIG = f"""
 algo: ppo
 env: sb3_options/TwoRooms-v0
-env_kwargs:
-  map: |
-    SSSS#....
-    SSSS#....
-    SSSS.....
-    SSSS#....
-    SSSS#...G
-  max_steps: 150
+env_kwargs: {{map: {json.dumps(SMALL_ROOMS)}, max_steps: 150}}
 n_timesteps: 2000
 n_envs: 2
 n_steps: 64
@@ -43,7 +37,7 @@ eval_freq: 700
 eval_episodes: 1
 checkpoint_freq: 400
 progress: false
-discovery: {min_positive: 3, start_radius: 0.5, goal_radius: 3.0, decay: 0.5}
+discovery: {FAST_DISCOVERY}
 """
 
 
@@ -155,14 +149,3 @@ def test_a_run_that_is_being_trained_is_refused(run: Path, refused: Refused, tmp
     with held(copy):
         assert f"{copy} is being trained by another process: wait" in refused("resume", str(copy), "--no-progress")
     assert not (copy / runs.MODEL).exists()
-
-
-def test_an_environment_that_does_not_tell_its_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    flags = ["--n-timesteps", "400", "--n-envs", "1", "--n-steps", "32", "--batch-size", "32", "--no-progress"]
-    flags += ["--checkpoint-freq", "100", "--eval-freq", "150", "--eval-episodes", "1"]
-    cli.main(["ppo", "--env", "CartPole-v1", *flags, "--tensorboard-log", str(tmp_path)])
-    run = tmp_path / "ppo" / "CartPole-v1_1"
-    copy = cut_off(run, tmp_path / "cut", before_the_last=True)
-    cli.main(["resume", str(copy), "--no-progress"])
-    assert {what: those for what, those in differences(run, copy).items() if those} == {}
-    assert "cannot go on" not in capsys.readouterr().out

@@ -1,10 +1,7 @@
 """Targets of DQN, QRDQN and OptionDQN against a table."""
 
-from typing import Any
-
 import numpy as np
 import pytest
-import torch
 from sb3_contrib import QRDQN
 from sb3_contrib.qrdqn import qrdqn as qrdqn_module
 from stable_baselines3 import DQN
@@ -13,8 +10,6 @@ from torch.nn import functional
 
 from sb3_options import OptionDQN
 from sb3_options.callbacks import SubgoalDiscoveryCallback
-from sb3_options.learning import dqn as option_dqn_module
-from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
 from tests.learning import tables
 from tests.support.sb3_helpers import RANDOM, TINY, env_of, optioned_rooms
 
@@ -50,16 +45,6 @@ def test_targets_are_exact(
     if masked:
         unmasked = [tables.target_of(r, target_table[r.next_state], every) for r in rows]
         assert np.abs(np.subtract(unmasked, expected)).max() > 0.1
-
-
-def test_timeouts_inside_options_bootstrap(monkeypatch: pytest.MonkeyPatch) -> None:
-    task = tables.random_task(0)
-    model = tables.filled(DQN, task, True, monkeypatch)
-    truncated = {(s.state, s.action, s.next_state) for s in task.steps.log if s.truncated and not s.terminated}
-    assert truncated
-    flagged = model.replay_buffer.timeouts[: model.replay_buffer.size()] == 1
-    assert (model.replay_buffer.actions[: len(flagged)][flagged] >= tables.N_PRIMITIVE).any()
-    assert not model.replay_buffer._get_samples(np.flatnonzero(flagged)).dones.any()
 
 
 @pytest.mark.parametrize("macro_q", [True, False])
@@ -98,17 +83,3 @@ def test_targets_stay_exact_for_transitions_stored_before_an_option_was_there(mo
     assert callback.discoveries
     assert checked[-1]
     assert not checked[0]
-
-
-def test_smdp_target_keeps_to_what_is_available() -> None:
-    values = torch.tensor([[1.0, 2.0, 9.0, 5.0]] * 3)
-    samples: Any = {
-        "observations": None, "actions": torch.zeros(3, 1), "next_observations": None,
-        "rewards": torch.tensor([[0.5], [0.5], [0.5]]), "discounts": torch.tensor([[0.9], [0.81], [0.9]]),
-        "dones": torch.tensor([[0.0], [0.0], [1.0]]),
-    }  # fmt: skip
-    available = torch.tensor([[False, False], [False, True], [True, True]])
-    masked = option_dqn_module.smdp_target(values, OptionReplayBufferSamples(**samples, next_available=available))
-    torch.testing.assert_close(masked, torch.tensor([[0.5 + 0.9 * 2], [0.5 + 0.81 * 5], [0.5]]))
-    unmasked = option_dqn_module.smdp_target(values, OptionReplayBufferSamples(**samples, next_available=None))
-    torch.testing.assert_close(unmasked, torch.tensor([[0.5 + 0.9 * 9], [0.5 + 0.81 * 9], [0.5]]))

@@ -15,30 +15,22 @@ from tests.learning.tables import GAMMA
 from tests.support.sb3_helpers import TINY, optioned_rooms, small_rooms
 
 
-class TestWithoutOptions:
-    """No slots, no options: the same weights, bit for bit, as stock SB3 on the bare environment."""
+def weights(algorithm: type[OffPolicyAlgorithm], env: gym.Env[Any, Any], callback: Any = None, **own: Any) -> Any:
+    kwargs: dict[str, Any] = TINY | {"train_freq": 4, "target_update_interval": 50, "gamma": GAMMA} | own
+    if algorithm is QRDQN:
+        kwargs["policy_kwargs"] = {"net_arch": [16], "n_quantiles": 8}
+    model = algorithm("MlpPolicy", env, **kwargs)
+    model.learn(500, callback=callback)
+    assert cast("Any", model)._n_updates > 90
+    return model.policy.state_dict()
 
-    kwargs: dict[str, Any] = TINY | {"train_freq": 4, "target_update_interval": 50, "gamma": GAMMA}
 
-    def weights(self, algorithm: type[OffPolicyAlgorithm], env: gym.Env[Any, Any], **kwargs: Any) -> dict[str, Any]:
-        callback = kwargs.pop("callback", None)
-        if algorithm is QRDQN:
-            kwargs["policy_kwargs"] = {"net_arch": [16], "n_quantiles": 8}
-        model = algorithm("MlpPolicy", env, **self.kwargs | kwargs)
-        model.learn(500, callback=callback)
-        assert cast("Any", model)._n_updates > 90
-        return model.policy.state_dict()
-
-    @pytest.mark.parametrize(
-        ("algorithm", "callback", "size"),
-        [(DQN, False, 130), (DQN, True, 5000), (QRDQN, False, 5000), (QRDQN, True, 130)],
-    )
-    def test_learns_the_same(self, algorithm: type[OffPolicyAlgorithm], callback: bool, size: int) -> None:
-        """Also where the buffer wraps around."""
-        bare = self.weights(algorithm, small_rooms(), buffer_size=size)
-        own: dict[str, Any] = {"replay_buffer_class": OptionReplayBuffer, "buffer_size": size}
-        own["callback"] = SubgoalDiscoveryCallback() if callback else None
-        wrapped = self.weights(algorithm, optioned_rooms(0), **own)
-        assert bare.keys() == wrapped.keys()
-        for name, value in bare.items():
-            assert torch.equal(value, wrapped[name]), name
+@pytest.mark.parametrize(("algorithm", "callback", "size"), [(DQN, False, 130), (QRDQN, True, 5000)])
+def test_learns_the_same(algorithm: type[OffPolicyAlgorithm], callback: bool, size: int) -> None:
+    """The same weights, bit for bit, as stock SB3 on the bare environment; also where the buffer wraps around."""
+    bare = weights(algorithm, small_rooms(), buffer_size=size)
+    own = SubgoalDiscoveryCallback() if callback else None
+    wrapped = weights(algorithm, optioned_rooms(0), own, replay_buffer_class=OptionReplayBuffer, buffer_size=size)
+    assert bare.keys() == wrapped.keys()
+    for name, value in bare.items():
+        assert torch.equal(value, wrapped[name]), name

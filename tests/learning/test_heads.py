@@ -13,7 +13,7 @@ from sb3_options import OptionDQN, OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback, SubgoalDiscoveryCallback
 from sb3_options.learning import heads
 from sb3_options.learning.families import family_of, forget_slot
-from tests.support.sb3_helpers import RANDOM, optioned_rooms
+from tests.support.sb3_helpers import optioned_rooms
 
 N_PRIMITIVE, MAX_OPTIONS = 4, 3
 N_ACTIONS = N_PRIMITIVE + MAX_OPTIONS
@@ -90,24 +90,6 @@ def test_an_opened_head_is_the_mean_of_the_primitives(algorithm: type[OffPolicyA
         torch.testing.assert_close(values[:, :, N_PRIMITIVE + 2], mean, rtol=0, atol=1e-6)
     assert [heads.is_closed(model.policy, N_PRIMITIVE + i) for i in range(3)] == [True, True, False]
     assert not any(heads.is_closed(model.policy, a) for a in range(N_PRIMITIVE))
-
-
-@algorithms
-def test_training_leaves_closed_heads_closed(algorithm: type[OffPolicyAlgorithm]) -> None:
-    model = model_of(algorithm, **RANDOM)
-    close_all(model)
-    rows = [(layer, heads.rows_of(layer, n, N_PRIMITIVE + 1)) for layer, n in heads.option_outputs(model.policy)]
-    primitive_rows = heads.rows_of(rows[0][0], heads.option_outputs(model.policy)[0][1], 0)
-    learned = rows[0][0].weight[primitive_rows].clone()
-    model.learn(500)
-    assert model._n_updates > 100
-    for layer, row in rows:
-        assert (layer.weight[row] == 0).all()
-        assert (layer.bias[row] == heads.CLOSED_VALUE).all()
-    assert not torch.equal(learned, rows[0][0].weight[primitive_rows])
-    assert all(torch.isfinite(p).all() for p in model.policy.parameters())
-    stored = model.replay_buffer.actions[: model.replay_buffer.size()]
-    assert set(stored[:, 0]) == set(range(N_PRIMITIVE))
 
 
 class Dueling(QNetwork):

@@ -13,14 +13,15 @@ from tests.support.helpers import CountingEnv
 from tests.support.sb3_helpers import Corridor
 
 
-@pytest.mark.parametrize("masks", [[0, 1], [[False, True]], np.array([0.0, 1.0])])
-def test_masks_are_truth_values_or_numbers(masks: Any) -> None:
-    model = OptionDQN("MlpPolicy", OptionsWrapper(CountingEnv(), 0), buffer_size=10, seed=0)
+@pytest.mark.parametrize("masks", [[0, 0, 1], [[False, False, True]], np.array([0.0, 0.0, 1.0])])
+def test_given_masks_win_and_are_truth_values_or_numbers(masks: Any) -> None:
+    """The last action is an empty slot, which may not start."""
+    model = OptionDQN("MlpPolicy", OptionsWrapper(CountingEnv(), 1), buffer_size=10, seed=0)
     model.exploration_rate = 0.5
     for deterministic in (True, False):
         drawn = [model.predict(np.zeros(1), deterministic=deterministic, action_masks=masks)[0] for _ in range(20)]
-        assert {int(action) for action in drawn} == {1}
-    assert model._available(np.zeros((3, 1))).tolist() == [[True, True]] * 3
+        assert {int(action) for action in drawn} == {2}
+    assert model._available(np.zeros((3, 1))).tolist() == [[True, True, False]] * 3
     assert model._available(np.zeros((3, 1))).dtype == bool
     everything = [int(model.predict(np.zeros(1))[0]) for _ in range(50)]
     assert set(everything) == {0, 1}

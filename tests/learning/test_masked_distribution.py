@@ -52,16 +52,6 @@ def test_every_answer_is_that_of_sb3_contrib(size: float, batch: int) -> None:
     )
 
 
-def test_no_mask_is_no_mask() -> None:
-    logits = torch.arange(2.0 * N).reshape(2, N)
-    answers = [
-        of(N).proba_distribution(action_logits=logits).distribution
-        for of in (QuickMaskableDistribution, MaskableCategoricalDistribution)
-    ]
-    assert torch.equal(answers[0].logits, answers[1].logits)
-    assert torch.equal(answers[0].entropy(), answers[1].entropy())
-
-
 @pytest.mark.parametrize("wrong", [torch.nan, torch.inf])
 def test_logits_that_are_no_numbers_are_refused(wrong: float) -> None:
     with pytest.raises(ValueError, match="NaN or infinite"):

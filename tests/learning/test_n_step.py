@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from stable_baselines3 import DQN
-from stable_baselines3.common.buffers import NStepReplayBuffer
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from sb3_options import OptionReplayBuffer
 from sb3_options.callbacks import PrimitiveStepsCallback
-from sb3_options.learning.n_step import END, Successors
 from sb3_options.learning.replay_buffer import OptionReplayBufferSamples
 from tests.learning.test_replay_buffer import GAMMA, assert_holds, buffer_for, corridors, fill, optioned, place_in
 from tests.support.sb3_helpers import Row
@@ -153,30 +151,6 @@ def test_a_removed_option_leaves_no_return_across_its_rows(rng: np.random.Genera
     assert_samples(buffer, unharmed, [returns[row] for row in unharmed])
 
 
-def test_equals_the_stock_buffer_without_options(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    venv = corridors("box", 3)
-    ours = buffer_for(venv, 600, n_steps=3)
-    stock = NStepReplayBuffer(600, venv.observation_space, venv.action_space, "cpu", n_envs=3, n_steps=3, gamma=GAMMA)
-    obs: Any = venv.reset()
-    for _ in range(60):
-        actions = rng.integers(2, size=3)
-        next_obs: Any
-        next_obs, rewards, dones, infos = venv.step(actions)
-        ended = np.array(next_obs)
-        for i in np.flatnonzero(dones):
-            ended[i] = infos[i]["terminal_observation"]
-        ours.add(obs, ended, actions, rewards, dones, infos)
-        stock.add(obs, ended, actions, rewards, dones, infos)
-        obs = next_obs
-    mine = cast("OptionReplayBufferSamples", ours._get_samples(np.arange(180)))
-    for env in range(3):
-        with monkeypatch.context() as patch:
-            patch.setattr(np.random, "randint", lambda *_, size, env=env: np.full(size, env))
-            theirs = stock._get_samples(np.arange(60))
-        for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):
-            np.testing.assert_allclose(getattr(mine, name)[env::3], getattr(theirs, name), atol=1e-6, err_msg=name)
-
-
 @pytest.mark.parametrize("n", [1, 3])
 def test_a_buffer_of_one_option_alone_is_emptied_with_its_successors(n: int) -> None:
     info = {"option": {"index": 0, "duration": 2, "discount": 0.81, "termination": "subgoal"}}
@@ -207,24 +181,8 @@ def test_a_buffer_of_one_environment_goes_on_in_a_model_of_three(n_steps: int, t
     assert cast("OptionReplayBuffer", other.replay_buffer).size() >= stored + 60
 
 
-def test_a_run_longer_than_the_buffer_is_followed_by_the_next_decision_alone() -> None:
-    rows = Successors(3, 2)
-    rows.add(0, 0, np.array([1, 2, 0, 1]), follows=False, done=False)  # its first step is overwritten, as is itself
-    assert (rows.following.tolist(), rows.newest(0)) == ([1, END, 0], 1)
-    rows.add(0, 2, np.array([], dtype=np.int64), follows=True, done=False)
-    assert (rows.following.tolist(), rows.newest(0)) == ([1, 2, END], 2)
-    rows.add(1, 0, np.array([1, 2]), follows=False, done=True)  # of another environment, over the other's newest
-    assert (rows.following.tolist(), rows.newest(0), rows.newest(1)) == ([END, 2, END], None, None)
-
-
 def test_n_steps_that_sb3_does_not_pass_on_is_refused() -> None:
     with pytest.warns(UserWarning, match="`n_steps=3` is ignored"):
         model = DQN("MlpPolicy", optioned("box"), gamma=GAMMA, n_steps=3, replay_buffer_class=OptionReplayBuffer)
     with pytest.raises(ValueError, match=r"pass DQN\(..., replay_buffer_kwargs=\{'n_steps': 3\}\) instead"):
         model.learn(10, callback=PrimitiveStepsCallback())
-
-
-def test_at_first_no_decision_is_the_newest() -> None:
-    successors = Successors(5, 2)
-    successors.add(1, 3, np.zeros(0, np.int64), follows=False, done=False)
-    assert [successors.newest(env) for env in (0, 1)] == [None, 3]

@@ -1,5 +1,4 @@
 import copy
-import io
 from typing import Any, cast
 
 import gymnasium as gym
@@ -174,38 +173,6 @@ def test_normalizes_with_vec_normalize_as_the_stock_buffer_does(rng: np.random.G
         np.testing.assert_allclose(getattr(normal, name), expected, atol=1e-6)
     np.testing.assert_allclose(normal.rewards, raw.rewards / 2.0, rtol=1e-6)
     assert torch.equal(normal.discounts, raw.discounts)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_gives_back_stored_observations_as_the_environment_made_them(kind: str, rng: np.random.Generator) -> None:
-    venv = corridors(kind, 2)
-    buffer = buffer_for(venv)
-    rows = [row for step in fill(venv, buffer, 50, rng) for row in step]
-    stored = buffer.next_observations_stored()
-    shapes = {k: v.shape for k, v in stored.items()} if isinstance(stored, dict) else stored.shape  # type: ignore[union-attr]  # an array otherwise
-    space = venv.observation_space
-    if isinstance(space, spaces.Dict):
-        assert shapes == {k: (len(rows), *cast("tuple[int, ...]", s.shape)) for k, s in space.spaces.items()}
-    else:
-        assert shapes == (len(rows), *cast("tuple[int, ...]", space.shape))
-    assert places(stored)[:, 0].tolist() == [float(r.next_state) for r in rows]
-
-
-def test_survives_saving_and_loading(rng: np.random.Generator) -> None:
-    settings: dict[str, Any] = {"gamma": GAMMA, "replay_buffer_class": OptionReplayBuffer, "buffer_size": 300}
-    model, other = (DQN("MlpPolicy", corridors("box"), **settings) for _ in range(2))
-    model.learn(200)
-    file = io.BytesIO()
-    model.save_replay_buffer(file)
-    file.seek(0)
-    other.load_replay_buffer(file)
-    kept, loaded = model.replay_buffer, other.replay_buffer
-    assert isinstance(kept, OptionReplayBuffer)
-    assert isinstance(loaded, OptionReplayBuffer)
-    assert (loaded.pos, loaded.full, loaded.macro_q) == (kept.pos, kept.full, kept.macro_q)
-    for a, b in zip(all_samples(kept), all_samples(loaded), strict=True):
-        assert (a is None and b is None) or torch.equal(a, b)
-    fill(corridors("box"), loaded, 10, rng)
 
 
 def test_what_it_cannot_store_is_refused() -> None:

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 import torch
 from sb3_contrib import TRPO, MaskablePPO, RecurrentPPO
-from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
-from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3 import A2C, PPO
-from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
@@ -22,7 +19,6 @@ from sb3_options import OptionDictRolloutBuffer, OptionRolloutBuffer, OptionsWra
 from sb3_options.callbacks import PrimitiveStepsCallback
 from sb3_options.callbacks.installer import OptionInstaller
 from sb3_options.density.regions import Region
-from sb3_options.experience.option_run import OptionRun
 from sb3_options.learning.rollout_buffer import SMDPAdvantages
 from sb3_options.options.option import SubgoalOption
 from sb3_options.options.policies import TabularPolicy
@@ -137,43 +133,6 @@ def test_advantages_and_returns_are_exact_with_timeouts_inside_options(algorithm
         np.testing.assert_allclose(kept.buffer.returns[:, env], returns, rtol=0, atol=1e-6)
 
 
-def test_without_options_it_is_the_stock_buffer() -> None:
-    rng = np.random.default_rng(0)
-    spaces = Corridor().observation_space, Corridor().action_space
-    kwargs: dict[str, Any] = {"device": "cpu", "gae_lambda": LAMBDA, "gamma": GAMMA, "n_envs": 3}
-    stock = RolloutBuffer(50, *spaces, **kwargs)
-    ours = OptionRolloutBuffer(50, *spaces, **kwargs)
-    runs = [OptionRun(-1, 1, GAMMA, GAMMA, "primitive")] * 3
-    for _ in range(50):
-        reward = rng.normal(size=3).astype(np.float32)
-        step = (
-            rng.normal(size=(3, 2)), rng.integers(2, size=(3, 1)), reward, rng.random(3) < 0.1,
-            torch.as_tensor(rng.normal(size=3), dtype=torch.float32), torch.zeros(3),
-        )  # fmt: skip
-        stock.add(*step)
-        ours.expect(reward, runs)
-        ours.add(*step)
-    last, dones = torch.as_tensor(rng.normal(size=(3, 1)), dtype=torch.float32), np.array([True, False, False])
-    stock.compute_returns_and_advantage(last, dones)
-    ours.compute_returns_and_advantage(last, dones)
-    np.testing.assert_allclose(ours.advantages, stock.advantages, rtol=0, atol=2e-6)
-    np.testing.assert_allclose(ours.returns, stock.returns, rtol=0, atol=2e-6)
-
-
-def test_the_reward_of_a_single_step_is_normalised_where_the_step_reports_it() -> None:
-    buffer = OptionRolloutBuffer(2, Corridor().observation_space, Corridor().action_space, gamma=GAMMA)
-    normalizer = VecNormalize(DummyVecEnv([Corridor]), gamma=GAMMA)
-    normalizer.ret_rms.var = np.array(4.0)
-    for run in (
-        OptionRun(-1, 1, GAMMA, GAMMA, "primitive"),
-        OptionRun(-1, 1, GAMMA, GAMMA, "primitive", rewards=np.array([6.0])),
-    ):
-        reward = np.array([5.0], dtype=np.float32)
-        buffer.expect(reward, [run], normalizer)
-        buffer.add(np.zeros((1, 2)), np.zeros((1, 1)), reward, np.zeros(1), torch.zeros(1), torch.zeros(1))
-    np.testing.assert_allclose(buffer.rewards.ravel(), [5.0, 3.0], rtol=1e-6)
-
-
 def journey(env: CountingEnv, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
     """A user's own steps, whose actions take times of their own: 1 or 4 steps along a line of 8."""
     place, k = min(sum((1, 4)[taken] for taken in env.actions), 8), (1, 4)[action]
@@ -203,19 +162,6 @@ def test_dict_observations() -> None:
     assert (model.rollout_buffer.durations > 1).any()
 
 
-@pytest.mark.parametrize(
-    ("algorithm", "expected"),
-    [(MaskablePPO, MaskableRolloutBuffer), (RecurrentPPO, RecurrentRolloutBuffer), (TRPO, RolloutBuffer)],
-)
-def test_contrib_algorithms_get_a_buffer_derived_from_their_own(algorithm: Any, expected: type) -> None:
-    model = make(algorithm, DummyVecEnv([lambda: optioned_corridor(20)]))
-    model.learn(64, callback=PrimitiveStepsCallback())
-    assert type(model.rollout_buffer).__bases__ == (SMDPAdvantages, expected)
-    made = type(model.rollout_buffer)
-    model.learn(64, callback=PrimitiveStepsCallback())
-    assert type(model.rollout_buffer) is made
-
-
 def test_normalised_rewards_keep_the_bootstrap() -> None:
     venv = VecNormalize(DummyVecEnv([lambda: optioned_corridor(13)]), gamma=GAMMA, clip_reward=np.inf)
     model = make(PPO, venv)
@@ -227,20 +173,6 @@ def test_normalised_rewards_keep_the_bootstrap() -> None:
     rewards = kept.buffer.rewards.reshape(-1)
     np.testing.assert_allclose(rewards, plain + GAMMA**k * timeouts, rtol=1e-6, atol=1e-6)
     assert (timeouts != 0).any()
-
-
-def test_an_option_moves_in_between_rollouts_only() -> None:
-    """Otherwise the log-probabilities of the rollout would be of another policy than it was collected with."""
-    env = OptionsWrapper(Corridor(), 1, gamma=GAMMA)
-    stock, masked = make(PPO, env), make(MaskablePPO, OptionsWrapper(Corridor(), 1, gamma=GAMMA))
-    for model, at_once in ((stock, False), (masked, True)):
-        installer = OptionInstaller(model, env_of(model), None)
-        installer.install(0, steady_option(1))
-        banks = env_of(model).get_attr("bank")
-        assert (len(banks[0]) == 1) is at_once
-        assert len(installer.bank) == 1
-        installer.on_rollout_start()
-        assert len(env_of(model).get_attr("bank")[0]) == 1
 
 
 def test_without_a_callback_it_says_what_to_pass() -> None:

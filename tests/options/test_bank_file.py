@@ -80,10 +80,7 @@ class TestFile:
         bank.add(steady_option(name="mine"), 0)
         bank.save(tmp_path / "options")
         other = empty_bank()
-        message = (
-            r"options does not fit: slot 0 held the hand-made option 'mine', which is code and not in the file; "
-            r"add it to the bank first\.$"
-        )
+        message = r"options does not fit: slot 0 held the hand-made option 'mine'.+add it to the bank first"
         with pytest.raises(ValueError, match=message):
             other.load(tmp_path / "options")
         assert len(other) == 0

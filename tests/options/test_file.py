@@ -38,13 +38,7 @@ def saved(env: OptionsWrapper, path: Path, policy_input: PolicyInput = "observat
 class TestOtherObservations:
     def test_coordinates_of_other_rooms(self, tmp_path: Path) -> None:
         path, other = saved(grid(), tmp_path / "options"), grid("FourRooms")
-        with pytest.raises(
-            ValueError,
-            match=r"^.+options does not fit: its options were made for observations Box\(0.0, \[20\.  ?9\.\], \(2,\), "
-            r"float32\), this task's are Box\(0.0, 12.0, \(2,\), float32\); only options whose policies act on "
-            r"features \(policy_input='features'\) move between tasks that are observed differently: learn them so, "
-            r"or make both environments give the same observations\.$",
-        ):
+        with pytest.raises(ValueError, match=r"made for observations Box\(.+, this task's are Box\(0.0, 12.0, \(2,\)"):
             other.bank.load(path)
         assert len(other.bank) == 0
 
@@ -66,12 +60,7 @@ class TestOtherFeatures:
     def test_of_another_kind(self, tmp_path: Path) -> None:
         path = saved(grid(feature_map=lambda obs: obs[:, ::-1]), tmp_path / "options", "features")
         other = grid()
-        with pytest.raises(
-            ValueError,
-            match=r"does not fit: its subgoals lie in the features of a feature_map that was passed, this task's in "
-            r"the environment's own concept_features; pass the feature map they were made with, "
-            r"OptionsWrapper\(env, feature_map=\.\.\.\)\.$",
-        ):
+        with pytest.raises(ValueError, match=r"of a feature_map that was passed, this task's in the environment's own"):
             other.bank.load(path)
 
     def test_a_map_that_was_given_is_meant(self, tmp_path: Path) -> None:

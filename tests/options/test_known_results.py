@@ -110,21 +110,6 @@ def test_a_map_that_is_learned_anew_leaves_nothing_known() -> None:
     assert not any(here.initiation(places[:n]).any() for n in (1, 2))
 
 
-def test_all_options_of_a_bank_ask_once_for_the_features_of_an_observation() -> None:
-    asked: list[Any] = []
-
-    def noting(observations: Any) -> FloatArray:
-        asked.append(observations)
-        return flatten(observations)
-
-    bank = OptionBank(2, 3, feature_map=noting)
-    for points in ([[1.0]], [[2.0]], [[1.0], [2.0]]):
-        bank.add(reaching(np.zeros((1, 1)), np.array(points)))
-    for _ in range(2):
-        assert bank.available(np.array([[1.0]])).tolist() == [[True, True, True, False, True]]
-    assert len(asked) == 1
-
-
 def test_options_are_asked_with_the_feature_map_that_each_is_bound_to() -> None:
     places = np.array([[3.0], [4.0]])
     bank = OptionBank(2, 2, feature_map=flatten)

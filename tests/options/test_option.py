@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sb3_options.density.regions import Region
-from sb3_options.experience.observations import BoolArray, FloatArray, Observations, flatten
+from sb3_options.experience.observations import FloatArray, Observations, flatten
 from sb3_options.options.option import Option, SubgoalOption
 from sb3_options.options.policies import TabularPolicy
 from tests.support.helpers import ball, equal, steady_option, table_option
@@ -74,22 +74,6 @@ class TestSubgoalOption:
                 inside[:] = ~inside  # what a caller does with an answer changes no later one
         assert asked == [1] * len(self.observations)
         assert pickle.loads(pickle.dumps(option))._membership._rows == {}
-
-    def test_environments_share_what_is_known_of_a_place(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        asked: list[Region] = []
-        contains = Region.contains
-
-        def counted(region: Region, features: FloatArray) -> BoolArray:
-            asked.append(region)
-            return contains(region, features)
-
-        monkeypatch.setattr(Region, "contains", counted)
-        option = subgoal_option(feature_map=lambda obs: flatten(obs)[:, :1])
-        others = option.bind(lambda obs: flatten(obs)[:, 1:])
-        answers = {bool(option.initiation(np.array([[1.0, other]]))[0]) for other in range(3)}
-        answers |= {bool(others.initiation(np.array([[other, 1.0]]))[0]) for other in range(3)}
-        assert answers == {True}
-        assert len(asked) == 2  # subgoal and initiation set, once each
 
     def test_without_a_feature_map(self) -> None:
         option = subgoal_option(name="door")

@@ -88,16 +88,6 @@ def test_a_pipe_is_not_read_to_learn_how_many_demonstrations_there_are(tmp_path:
     assert configure(demonstrations=path).algo_kwargs["learning_rate"] == 3e-4
 
 
-def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:
-    path = tmp_path / "config.yml"
-    configs.save(configure(seed=1), path)
-    unwritable = dataclasses.replace(configure(seed=2), env_kwargs={"a": object()})
-    with pytest.raises(Exception, match="object"):
-        configs.save(unwritable, path)
-    assert configs.load(path).seed == 1
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_an_environment_brings_its_own_defaults() -> None:
     pioneer = "sb3_options/PioneerCorner-v0"
     dqn, ppo = configure(env=pioneer), configure(env=pioneer, algo="ppo")
@@ -144,11 +134,6 @@ def test_keyword_arguments_run_nothing(tmp_path: Path) -> None:
 def test_the_nearest_name_is_told_whatever_part_it_is_of(content: dict[str, Any], near: str) -> None:
     with pytest.raises(ValueError, match=rf"there is no setting '.*'\. Did you mean '{near}'\?"):
         configs.build(content, "here")
-
-
-def test_names_with_dots_are_those_of_parts() -> None:
-    made = configs.build({"discovery.min_positive": 9, "discovery": {"decay": 0.5}, "option.grow": True}, "here")
-    assert (made.discovery.min_positive, made.discovery.decay, made.option.grow) == (9, 0.5, True)
 
 
 def test_every_kind_of_bonus_can_be_chosen() -> None:

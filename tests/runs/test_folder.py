@@ -16,8 +16,7 @@ from tests.runs.conftest import Register
 from tests.support.runs import Refused
 
 
-@pytest.mark.parametrize("algo", ["dqn", "a2c"])
-@pytest.mark.parametrize("n_envs", [1, 3])
+@pytest.mark.parametrize(("algo", "n_envs"), [("dqn", 1), ("a2c", 3)])
 def test_runs_of_different_seeds_share_no_environment(algo: str, n_envs: int) -> None:
     seeds: list[int] = []
     for seed in range(3):
@@ -103,8 +102,6 @@ def test_no_lock_is_written_through_a_link(tmp_path: Path) -> None:
     [
         (["dqn", "--buffer-size", "10" + "0" * 14], "Unable to allocate"),
         (["ppo", "--n-steps", "10" + "0" * 11], "Unable to allocate"),
-        (["dqn", "--max-options", "1" + "0" * 11], "max_options should be less than or equal to 10000"),
-        (["dqn", "--device", "foo"], "device"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(
@@ -112,5 +109,5 @@ def test_what_cannot_be_is_said_in_one_line(
 ) -> None:
     register(ends_after=5)
     command = [*flags, "--env", "Counted-v0", "--no-progress", "--tensorboard-log", str(tmp_path)]
-    assert said in refused(*command, codes=[1, 2])
+    assert said in refused(*command)
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]

@@ -89,10 +89,8 @@ def test_a_file_that_names_one_is_refused_with_the_flag(tmp_path: Path, refused:
         ("--env-wrapper", "users_module", "--env-wrapper takes module:name of a class or function, got 'users_module'"),
         ("--feature-map", "laplacien", "--feature-map takes module:name of a class or function, got 'laplacien'"),
         ("--env-wrapper", "no_such_module:A", "Error: No module named 'no_such_module'"),
-        ("--env", "no_such_module:A-v0", "Error: No module named 'no_such_module'"),
         ("--feature-map", "importing_module:a", "Error: No module named 'no_such_package'\n"),
         ("--env-wrapper", "users_module:Bare", "Error: Bare() takes no arguments"),
-        ("--feature-map", "users_module:a", "--feature-map takes module:name of"),
         ("--feature-map", "users_module:number", "--feature-map takes module:name of"),
     ],
 )

@@ -63,9 +63,3 @@ def test_options_are_shown(file: Path) -> None:
     shown = captured.get()
     assert "5 of 6 slots are taken; policies choose among 3 primitive actions." in shown
     assert opened(file).digest in shown
-
-
-def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "options.safetensors").write_bytes(b"\x08" * 40)
-    with pytest.raises(ValueError, match="options file"):
-        show_options(InspectConfig(tmp_path), Console())

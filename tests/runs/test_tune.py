@@ -139,12 +139,6 @@ def test_a_trial_that_was_killed_is_tried_again(tmp_path: Path, trained: list[Tr
     assert states == [TrialState.COMPLETE, TrialState.COMPLETE, TrialState.FAIL, TrialState.COMPLETE]
 
 
-def test_a_budget_in_which_no_episode_ends_is_named(tmp_path: Path) -> None:
-    endless = {"env": "sb3_options/TwoRooms-v0", "env_kwargs": {"max_steps": 1000, "goal": [20, 0]}}
-    with pytest.raises(ValueError, match="has no TensorBoard file with an evaluation or a training episode"):
-        tune.score(short(tmp_path, n_timesteps=64, **endless), Goal("return", 1.0))
-
-
 def test_the_score_is_the_logarithm_of_the_steps_to_the_goal(tmp_path: Path) -> None:
     def score(reach: str) -> float:
         return tune.score(short(tmp_path / reach, n_timesteps=500, seed=0), Goal.parsed(reach))

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from sb3_options.runs.config import configure, load
+from sb3_options.runs.config import load
 from sb3_options.runs.yaml_file import dump, parse
 
 
@@ -35,11 +35,6 @@ def test_numbers_with_an_exponent_are_numbers(text: str, value: Any) -> None:
 def test_a_text_stays_a_text() -> None:
     content = {"text": "1e4", "number": 1e22, "tiny": 1e-07}
     assert parse(dump(content)) == content
-
-
-def test_a_configuration_may_have_them(tmp_path: Path) -> None:
-    (tmp_path / "run.yaml").write_text("algo: maskableppo\nn_timesteps: 2e4\nlearning_rate: 1e-4\n")
-    assert load(tmp_path / "run.yaml") == configure(algo="maskableppo", n_timesteps=20_000, learning_rate=1e-4)
 
 
 @pytest.mark.parametrize(

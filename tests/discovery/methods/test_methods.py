@@ -14,7 +14,6 @@ from sb3_options.discovery.methods import METHODS, MethodName
 from sb3_options.discovery.methods.method import Experience
 from sb3_options.discovery.methods.random_places import RandomPlaces
 from sb3_options.discovery.methods.relative_novelty import RelativeNovelty, relative_novelty
-from sb3_options.discovery.peaks import MOST_TIED
 from sb3_options.experience.observations import FloatArray, IntArray
 from tests.support.helpers import line
 
@@ -64,23 +63,6 @@ class TestRelativeNovelty:
 
     def test_a_short_trajectory_says_nothing(self) -> None:
         assert RelativeNovelty().update(experience([0, 1, 2])) == []
-
-
-class TestVisits:
-    def test_the_place_that_most_successes_visit(self) -> None:
-        method = FirstVisits(min_successes=3)
-        proposed = []
-        for i in range(40):
-            proposed.append(method.update(experience([10 * (i % 7) + 200, 5, 10 * (i % 5) + 400])))
-            assert method.update(experience([77, 78, 79], success=False)) == []
-        assert proposed[0] == []
-        assert [float(r.points[0, 0]) for r in proposed[-1]] == [5.0]
-
-    def test_returns_do_not_count(self) -> None:
-        method = FirstVisits(min_successes=1)
-        for i in range(30):
-            last = method.update(experience([100 + i, 200, 5, 300, 400, 300, 400, 300, 400, 500 + i, 5]))
-        assert 5.0 in [float(region.points[0, 0]) for region in last]
 
 
 class TestRules:
@@ -133,18 +115,9 @@ def test_relative_novelty_finds_the_doorway_of_two_rooms_from_random_walks() -> 
     [
         (lambda: RelativeNovelty(p_target=0.1, p_other=0.2), "p_target must be above p_other"),
         (lambda: RelativeNovelty(odds=math.inf), "odds\n.*finite"),
-        (lambda: FirstVisits(threshold=1), "threshold\n.*less than 1"),
         (lambda: RandomPlaces(min_successes=0), "min_successes\n.*greater than or equal to 1"),
     ],
 )
 def test_arguments_out_of_range_are_refused_by_name(make: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
-
-
-def test_thousands_of_places_that_nobody_visits_twice_are_no_subgoals() -> None:
-    """Nothing recurs; to compare them all would take seconds after each success."""
-    method = FirstVisits(min_successes=1)
-    for i in range(8):
-        assert method.update(experience(np.arange(i * 400, (i + 1) * 400))) == []
-    assert len(method._tracker.concepts) <= MOST_TIED

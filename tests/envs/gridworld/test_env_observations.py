@@ -8,17 +8,12 @@ from tests.envs.gridworld.cells import KINDS, Kind, cell_of
 
 
 def test_observation_spaces() -> None:
-    def shape(map: str, kind: Kind) -> tuple[tuple[int, ...] | None, str]:
-        space = GridWorld(map, observation=kind).observation_space
-        return space.shape, str(space.dtype)
+    def shape(map: str, kind: Kind) -> tuple[int, ...] | None:
+        return GridWorld(map, observation=kind).observation_space.shape
 
-    assert shape(TWO_ROOMS, "onehot") == ((210,), "float32")
-    assert shape(KEY_DOOR, "onehot") == ((208,), "float32")
-    assert shape(TWO_ROOMS, "xy") == ((2,), "float32")
-    assert shape(KEY_DOOR, "xy") == ((3,), "float32")
-    assert shape(TWO_ROOMS, "image") == ((40, 84, 3), "uint8")
-    assert shape(FOUR_ROOMS, "image") == ((39, 39, 3), "uint8")
-    assert shape("SG", "image") == ((36, 72, 3), "uint8")
+    assert [shape(map, "onehot") for map in (TWO_ROOMS, KEY_DOOR)] == [(210,), (208,)]
+    assert [shape(map, "xy") for map in (TWO_ROOMS, KEY_DOOR)] == [(2,), (3,)]
+    assert [shape(map, "image") for map in (TWO_ROOMS, "SG")] == [(40, 84, 3), (36, 72, 3)]
 
 
 @pytest.mark.parametrize("kind", KINDS)

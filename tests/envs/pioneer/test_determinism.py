@@ -19,13 +19,13 @@ IDS = [
     for name in names
     if find_spec(module) is not None
 ]
-N_STEPS = 100
+N_STEPS = 60
 SEED = 3
 
 
 def make(env_id: str) -> gymnasium.Env[Any, Any]:
     # Truncating early, so that several resets are part of the trajectory.
-    return gymnasium.make(env_id, max_steps=40, observation="retina")
+    return gymnasium.make(env_id, max_steps=20, observation="retina")
 
 
 def digest(env: gymnasium.Env[Any, Any], seed: int) -> str:

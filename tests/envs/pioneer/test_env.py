@@ -156,11 +156,6 @@ def test_step_before_reset_and_after_the_end() -> None:
 def test_without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     importlib.reload(sb3_options.envs)
-    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"pip install 'sb3-options\[pioneer\]'") as error:
+    said = r"pip install 'sb3-options\[pioneer\]'.*sb3_options/PioneerMuJoCo-v0.*pip install 'sb3-options\[mujoco\]'"
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=said):
         Pioneer()
-    for part in (
-        "up to CPython 3.11",
-        "sb3_options/PioneerMuJoCo-v0",
-        "pip install 'sb3-options[mujoco]' (in a checkout '.[mujoco]')",
-    ):
-        assert part in str(error.value)

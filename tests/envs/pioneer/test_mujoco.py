@@ -1,7 +1,6 @@
 """The twin in MuJoCo: it moves and senses like the robot in PyBullet, and goes on from a state exactly."""
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
@@ -20,21 +19,12 @@ from sb3_options.execution import layers
 from tests.envs.pioneer.expert import Expert
 from tests.envs.pioneer.simulators import needs_pybullet
 
-MIDDLE, LEFT_10 = 1, 3
 TASKS: dict[str, dict[str, Any]] = {
     "Pioneer": {},
     "PioneerCorner": {"deposit": "corner"},
     "PioneerClutter": {"n_obstacles": 4},
     "PioneerTwoBalls": {"n_balls": 2},
 }
-
-
-@pytest.fixture
-def env() -> Iterator[PioneerMuJoCo]:
-    env = gymnasium.make("sb3_options/PioneerMuJoCo-v0", max_steps=None).unwrapped
-    assert isinstance(env, PioneerMuJoCo)
-    yield env
-    env.close()
 
 
 def both(**kwargs: Any) -> tuple[PioneerTask, PioneerTask]:

@@ -8,7 +8,7 @@ import pytest
 from sb3_options.envs.pioneer.body import BODY_RADIUS, GRIP_AHEAD
 from sb3_options.envs.pioneer.env import ACTIONS, PioneerTask
 
-LONG, LEFT_45, RIGHT_45 = 2, 4, 6
+LONG = 2
 
 
 def start(env: PioneerTask, x: float, y: float, heading: float, ball: tuple[float, float] = (-1.5, -1.5)) -> None:
