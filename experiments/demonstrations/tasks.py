@@ -78,7 +78,7 @@ def _taxi_steps() -> float:
 
 TASKS = {
     "BabyAI-KeyCorridorS3R3-v0": _minigrid("BabyAI-KeyCorridorS3R3-v0", 200_000),
-    "BabyAI-KeyCorridorS4R3-v0": _minigrid("BabyAI-KeyCorridorS4R3-v0", 300_000),
+    "BabyAI-KeyCorridorS4R3-v0": _minigrid("BabyAI-KeyCorridorS4R3-v0", 1_000_000),
     "BabyAI-KeyCorridorS6R3-v0": _minigrid("BabyAI-KeyCorridorS6R3-v0", 1_000_000),
     "MiniGrid-ObstructedMaze-1Dl-v0": _minigrid("MiniGrid-ObstructedMaze-1Dl-v0", 400_000),
     "MiniGrid-ObstructedMaze-2Dlh-v0": _minigrid("MiniGrid-ObstructedMaze-2Dlh-v0", 3_000_000),
